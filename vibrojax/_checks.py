@@ -1,0 +1,118 @@
+"""Refusals of wrong input, in one voice: name the argument, the value, what is allowed, what to do.
+
+Only concrete values are checked: under `jit`, `vmap` or `grad` a value is a tracer and passes.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def as_number(name: str, value: Any) -> Any:
+    """Convert `value` to a floating scalar (or leave a tracer or placeholder leaf as it is).
+
+    Raises `ValueError` when the value is not a number.
+    """
+    if value is None or isinstance(value, jax.Array | np.ndarray | np.generic):
+        return value
+    if isinstance(value, bool | str | bytes | list | tuple | dict):
+        raise ValueError(f"{name} must be a number, got {value!r}.")
+    if isinstance(value, int | float):
+        # A Python float keeps its weak type, so construction costs no device transfer.
+        return float(value)
+    return value
+
+
+def concrete(value: Any) -> np.ndarray | None:
+    """Return the value as a float array, or None while JAX is tracing it."""
+    if isinstance(value, jax.core.Tracer) or value is None:
+        return None
+    if not isinstance(value, int | float | np.ndarray | np.generic | jax.Array):
+        return None  # a placeholder put in by a tree transformation
+    return np.asarray(value, dtype=float)
+
+
+def _refuse(name: str, value: Any, allowed: str, advice: str) -> None:
+    tail = f" {advice}" if advice else ""
+    raise ValueError(f"{name} must be {allowed}, got {value!r}.{tail}")
+
+
+def _shown(values: np.ndarray, bad: np.ndarray) -> Any:
+    return values.item() if values.ndim == 0 else values[bad].flat[0].item()
+
+
+def check_range(
+    name: str,
+    value: Any,
+    low: float = -np.inf,
+    high: float = np.inf,
+    *,
+    include_low: bool = True,
+    include_high: bool = True,
+    allowed: str,
+    advice: str = "",
+) -> None:
+    """Raise `ValueError` unless every entry of `value` is finite and inside the interval."""
+    values = concrete(value)
+    if values is None:
+        return
+    above = values >= low if include_low else values > low
+    below = values <= high if include_high else values < high
+    bad = ~(above & below & np.isfinite(values))
+    if bad.any():
+        _refuse(name, _shown(values, bad), allowed, advice)
+
+
+def check_positive(name: str, value: Any, unit: str, advice: str = "") -> None:
+    """Raise `ValueError` unless the value is finite and above 0."""
+    check_range(name, value, 0.0, include_low=False, allowed=f"above 0 {unit}", advice=advice)
+
+
+def check_not_negative(name: str, value: Any, unit: str, advice: str = "") -> None:
+    """Raise `ValueError` unless the value is finite and at least 0."""
+    check_range(name, value, 0.0, allowed=f"at least 0 {unit}", advice=advice)
+
+
+def check_count(name: str, value: Any, least: int = 1) -> None:
+    """Raise `ValueError` unless the value is a whole number of at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        _refuse(name, value, f"a whole number of at least {least}", "")
+
+
+def check_choice(name: str, value: Any, choices: tuple[str, ...]) -> None:
+    """Raise `ValueError` unless the value is one of the named choices."""
+    if value not in choices:
+        listed = ", ".join(repr(c) for c in choices)
+        _refuse(name, value, f"one of {listed}", "")
+
+
+def check_frequencies(name: str, values: Any, unit: str) -> jax.Array:
+    """Return a frequency axis as a 1-D array: finite, above 0, strictly increasing, not empty.
+
+    Raises `ValueError` otherwise.
+    """
+    try:
+        axis = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        _refuse(name, values, f"a sequence of numbers ({unit})", "")
+        raise AssertionError from None
+    if axis.ndim > 1:
+        raise ValueError(f"{name} must be one-dimensional, got an array of shape {axis.shape}.")
+    axis = np.atleast_1d(axis)
+    if axis.size == 0:
+        raise ValueError(f"{name} is empty: give at least one value ({unit}).")
+    if not np.isfinite(axis).all():
+        bad = int(np.flatnonzero(~np.isfinite(axis))[0])
+        raise ValueError(f"{name} must be finite, got {axis[bad]} at index {bad}.")
+    if (axis <= 0).any():
+        bad = int(np.flatnonzero(axis <= 0)[0])
+        raise ValueError(f"{name} must be above 0 {unit}, got {axis[bad]} at index {bad}.")
+    if (np.diff(axis) <= 0).any():
+        bad = int(np.flatnonzero(np.diff(axis) <= 0)[0])
+        raise ValueError(
+            f"{name} must increase strictly, got {axis[bad]} then {axis[bad + 1]} at index "
+            f"{bad + 1}. Sort it; the backward sweep is made for you."
+        )
+    return jnp.asarray(axis)
