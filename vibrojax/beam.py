@@ -1,0 +1,94 @@
+"""The cantilever: a clamped beam of constant thickness, tapered in width, with a tip mass."""
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from vibrojax._checks import as_number, check_not_negative, check_positive, check_range
+
+
+def _number(name: str, value: Any) -> Any:
+    value = as_number(name, value)
+    if isinstance(value, np.generic):
+        return as_number(name, value.item())
+    return jnp.asarray(value) if isinstance(value, np.ndarray) else value
+
+
+def _field(name: str, **default: float) -> Any:
+    return eqx.field(converter=partial(_number, name), **default)
+
+
+class Cantilever(eqx.Module):
+    """A beam clamped at s = 0, its width b0 (1 - taper s) and its thickness constant, s = x/L.
+
+    Every field is a number that can be swept, batched and differentiated; the properties are
+    computed from them when asked. Source: Gandhi and Vyas 2017, eqs. 2, 4, 13, 16 and 17.
+
+    Raises `ValueError` when a length, the modulus or the density is not above 0, the taper is
+    outside [0, 1), or the mass ratio is negative. Values that JAX is tracing are not checked.
+    """
+
+    length: float | Float[Array, "..."] = _field("length")
+    """Length L, m."""
+    width: float | Float[Array, "..."] = _field("width")
+    """Width b0 at the root, m."""
+    thickness: float | Float[Array, "..."] = _field("thickness")
+    """Thickness in the direction of motion, m."""
+    youngs_modulus: float | Float[Array, "..."] = _field("youngs_modulus")
+    """Young's modulus E, Pa."""
+    density: float | Float[Array, "..."] = _field("density")
+    """Density rho, kg/m3."""
+    taper: float | Float[Array, "..."] = _field("taper", default=0.0)
+    """Taper mu in [0, 1): the width at the tip is b0 (1 - mu)."""
+    mass_ratio: float | Float[Array, "..."] = _field("mass_ratio", default=0.0)
+    """Tip mass over rho A0 L with the area A0 at the ROOT, not over the mass of the beam."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a beam."""
+        check_positive("length", self.length, "m")
+        check_positive("width", self.width, "m")
+        check_positive("thickness", self.thickness, "m")
+        check_positive("youngs_modulus", self.youngs_modulus, "Pa")
+        check_positive("density", self.density, "kg/m3")
+        check_range(
+            "taper",
+            self.taper,
+            0.0,
+            1.0,
+            include_high=False,
+            allowed="at least 0 and below 1",
+            advice="The width at the tip is width * (1 - taper); call the wider end the root.",
+        )
+        check_not_negative(
+            "mass_ratio", self.mass_ratio, "(tip mass / (density * root area * length))"
+        )
+
+    @property
+    def root_area(self) -> float | Float[Array, "..."]:
+        """Area A0 of the section at the root, m2."""
+        return self.width * self.thickness
+
+    @property
+    def root_inertia(self) -> float | Float[Array, "..."]:
+        """Second moment of area I0 of the section at the root, m4."""
+        return self.width * self.thickness**3 / 12
+
+    @property
+    def reference_mass(self) -> float | Float[Array, "..."]:
+        """Mass rho A0 L of the beam without its taper, kg: the unit of mass of the model."""
+        return self.density * self.root_area * self.length
+
+    @property
+    def tip_mass(self) -> float | Float[Array, "..."]:
+        """Mass at the tip, kg (Gandhi and Vyas 2017, eq. 17)."""
+        return self.mass_ratio * self.reference_mass
+
+    @property
+    def frequency_scale(self) -> float | Float[Array, "..."]:
+        """sqrt(E I0 / (rho A0 L^4)), rad/s: times beta^2 it is an angular frequency (eq. 13)."""
+        stiffness = self.youngs_modulus * self.root_inertia
+        return (stiffness / (self.density * self.root_area * self.length**4)) ** 0.5

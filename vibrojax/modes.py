@@ -1,0 +1,122 @@
+"""Natural frequencies and mode shapes of a cantilever, differentiable in every number of it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from vibrojax._checks import check_choice, check_count, check_range
+from vibrojax._dtm import evaluate, solve
+from vibrojax.beam import Cantilever
+
+FORMULATIONS = ("consistent", "as_printed")
+
+
+class Modes(eqx.Module):
+    """The first modes of a cantilever, in order of frequency.
+
+    Shapes are mass-normalised whatever the formulation, int u phi^2 ds + Mr phi(1)^2 = 1, with
+    phi(1) > 0. Made by `modes`; a result, not a recipe: a changed beam needs a new call.
+    """
+
+    beta: Float[Array, " modes"]
+    """Dimensionless frequency parameter, beta^4 = rho A0 L^4 omega^2/(E I0)."""
+    angular_frequency: Float[Array, " modes"]
+    """Natural angular frequency, rad/s."""
+    modal_mass: Float[Array, " modes"]
+    """rho A0 L m_i, kg."""
+    participation: Float[Array, " modes"]
+    """Gamma_i, dimensionless: the modal force of a base acceleration a is -Gamma_i a."""
+    knots: Float[Array, " knots"]
+    """Ends of the segments on which the shapes are power series, in s."""
+    coefficients: Float[Array, "modes segments terms"]
+    """Coefficients of those series, in powers of (s - knot)/(length of the segment)."""
+    formulation: str = eqx.field(static=True)
+    """`consistent` or `as_printed`."""
+
+    @property
+    def num_modes(self) -> int:
+        """How many modes there are."""
+        return self.beta.shape[-1]
+
+    @property
+    def frequency(self) -> Float[Array, " modes"]:
+        """Natural frequency, Hz."""
+        return self.angular_frequency / (2 * np.pi)
+
+    def shape(
+        self, s: Float[ArrayLike, "*points"] | float, *, derivative: int = 0
+    ) -> Float[Array, "*points modes"]:
+        """Mode shapes, or a derivative of them with respect to s, at the places s = x/L.
+
+        A scalar gives shape (modes,), points of shape (points,) give (points, modes). `derivative`
+        is 0 to 3. Raises `ValueError` for another derivative or for s outside [0, 1].
+        """
+        if isinstance(derivative, bool) or derivative not in range(4):
+            raise ValueError(f"derivative must be 0, 1, 2 or 3, got {derivative!r}.")
+        check_range("s", s, 0.0, 1.0, allowed="from 0 (root) to 1 (tip)", advice="s is x/length.")
+        points = jnp.asarray(s, dtype=self.beta.dtype)
+        return evaluate(self.knots, self.coefficients, points, int(derivative))
+
+    def __repr__(self) -> str:
+        head = f"Modes(num_modes={self.num_modes}, formulation={self.formulation!r})"
+        if not isinstance(self.beta, jax.Array) or isinstance(self.beta, jax.core.Tracer):
+            return head
+        if self.beta.ndim != 1:
+            return f"{head}, batch {self.beta.shape[:-1]}"
+        columns = (self.frequency, self.beta, self.participation, self.modal_mass)
+        rows = zip(*(np.asarray(c) for c in columns), strict=True)
+        lines = [
+            f"{i:4d}  {f:13.6g}  {b:9.6f}  {g:13.6f}  {m:14.6g}"
+            for i, (f, b, g, m) in enumerate(rows, 1)
+        ]
+        return "\n".join(
+            [head, "mode  frequency[Hz]       beta  participation  modal mass[kg]", *lines]
+        )
+
+
+def _scalar(name: str, value) -> Float[Array, ""]:
+    # A strong dtype keeps one compiled version for Python floats and arrays alike.
+    array = jnp.asarray(value, dtype=jnp.result_type(float))
+    if array.ndim:
+        raise ValueError(
+            f"{name} must be one number here, got an array of shape {array.shape}. "
+            "Map over beams with jax.vmap."
+        )
+    return array
+
+
+def modes(beam: Cantilever, num_modes: int = 5, formulation: str = "consistent") -> Modes:
+    """Solve for the first `num_modes` natural frequencies (Hz) and mode shapes of the beam.
+
+    `consistent` counts the tip mass in the modal mass, m_i = int u phi^2 + Mr phi(1)^2, and in the
+    participation, Gamma_i = (int u phi + Mr phi(1))/m_i, as the orthogonality of the modes asks.
+    `as_printed` leaves it out of both, which Gandhi and Vyas 2017 do (sec. 2.3): to replicate
+    their numbers only, since with a tip mass it is wrong at any number of modes.
+
+    Works under jit, vmap, forward and reverse differentiation in every number of the beam, taper
+    included. A mode for which no root is found is NaN. Accurate for taper up to 0.99 (at 0.999 to
+    fewer digits) and 20 modes. Sources: Gandhi and Vyas 2017, eqs. 13 to 17, and the expansion
+    in several segments of `vibrojax._dtm`.
+
+    Raises `ValueError` when num_modes is not a whole number of at least 1, the formulation is
+    unknown, or a number of the beam is an array.
+    """
+    check_count("num_modes", num_modes)
+    check_choice("formulation", formulation, FORMULATIONS)
+    taper, mass_ratio = _scalar("taper", beam.taper), _scalar("mass_ratio", beam.mass_ratio)
+    solved = solve(taper, mass_ratio, int(num_modes))
+    mass, load = solved.area_integral_of_square, solved.area_integral
+    if formulation == "consistent":
+        mass = mass + mass_ratio * solved.tip**2
+        load = load + mass_ratio * solved.tip
+    return Modes(
+        beta=solved.beta,
+        angular_frequency=_scalar("frequency_scale", beam.frequency_scale) * solved.beta**2,
+        modal_mass=_scalar("reference_mass", beam.reference_mass) * mass,
+        participation=load / mass,
+        knots=solved.knots,
+        coefficients=solved.coefficients,
+        formulation=formulation,
+    )
