@@ -9,7 +9,7 @@ are carried from segment to segment and made orthonormal at every joint (Godunov
 Everything is dimensionless: s = x/L, u = 1 - taper s, beta^4 = rho A0 L^4 omega^2 / (E I0).
 """
 
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import equinox as eqx
@@ -65,8 +65,9 @@ def _series(
     """
     h = jnp.diff(knots)
     slope = taper * h / (1 - taper * knots[:-1])
-    scale = (jnp.sqrt(1 + beta**2) * h)[:, None] ** np.arange(4)
-    first = jnp.swapaxes(jax.vmap(jnp.diag)(scale / _FACTORIALS), 0, 1)  # (4 terms, segments, 4)
+    unit = jnp.sqrt(1 + beta**2) * h
+    scale = jnp.stack([jnp.ones_like(h), unit, unit**2, unit**3], axis=1)
+    first = np.diag(1 / _FACTORIALS)[:, None, :] * scale  # (4 terms, segments, 4)
     slope, stiffness = slope[:, None], ((beta * h) ** 4)[:, None]
 
     def term(previous, factors):
@@ -78,7 +79,7 @@ def _series(
     k = np.arange(_TERMS - 4.0)
     factors = ((k + 2) / (k + 4), 1 / ((k + 4) * (k + 3) * (k + 2) * (k + 1)))
     start = (jnp.zeros_like(first[0]), *first)
-    _, rest = jax.lax.scan(term, start, jax.tree.map(jnp.asarray, factors), unroll=4)
+    _, rest = jax.lax.scan(term, start, jax.tree.map(jnp.asarray, factors))
     return jnp.concatenate([first, rest]), scale
 
 
@@ -115,7 +116,7 @@ def _march(
 
     clamped = jnp.eye(4, dtype=beta.dtype)[:, 2:]
     tip, (bases, triangles) = jax.lax.scan(cross, clamped, transfer)
-    inertia = mass_ratio * beta**4 / ((1 - taper) * (1 + beta**2) ** 1.5)
+    inertia = mass_ratio * beta**4 / ((1 - taper) * jnp.sqrt(1 + beta**2) ** 3)
     shear = (tip[3] + inertia * tip[0]) / (1 + inertia)  # of order 1 for any tip mass
     return _March(series, bases, triangles, jnp.stack([tip[2], shear]))
 
@@ -218,7 +219,7 @@ def _assemble(
     return coefficients * norm, square * norm**2, jnp.sum(area * values) * norm, tip * norm
 
 
-@partial(eqx.filter_jit, donate="none")
+@eqx.filter_jit
 def solve(taper: Float[Array, ""], mass_ratio: Float[Array, ""], num_modes: int) -> Shapes:
     """First `num_modes` modes, normalised to int u phi^2 ds + mass_ratio phi(1)^2 = 1, phi(1) > 0.
 
@@ -252,5 +253,5 @@ def evaluate(
     def horner(total, term):
         return total * t + term, None
 
-    total, _ = jax.lax.scan(horner, jnp.zeros_like(local[0] * t), local, reverse=True, unroll=4)
+    total, _ = jax.lax.scan(horner, jnp.zeros_like(local[0] * t), local, reverse=True)
     return total / h[..., None] ** derivative

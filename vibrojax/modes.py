@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_choice, check_count, check_range
-from vibrojax._dtm import evaluate, solve
+from vibrojax._dtm import Shapes, evaluate, solve
 from vibrojax.beam import Cantilever
 
 FORMULATIONS = ("consistent", "as_printed")
@@ -87,6 +87,30 @@ def _scalar(name: str, value) -> Float[Array, ""]:
     return array
 
 
+# Apart from `solve`, which is then compiled once for both formulations.
+@eqx.filter_jit
+def _finish(
+    solved: Shapes,
+    mass_ratio: Float[Array, ""],
+    scale: Float[Array, ""],
+    reference_mass: Float[Array, ""],
+    formulation: str,
+) -> Modes:
+    mass, load = solved.area_integral_of_square, solved.area_integral
+    if formulation == "consistent":
+        mass = mass + mass_ratio * solved.tip**2
+        load = load + mass_ratio * solved.tip
+    return Modes(
+        beta=solved.beta,
+        angular_frequency=scale * solved.beta**2,
+        modal_mass=reference_mass * mass,
+        participation=load / mass,
+        knots=solved.knots,
+        coefficients=solved.coefficients,
+        formulation=formulation,
+    )
+
+
 def modes(beam: Cantilever, num_modes: int = 5, formulation: str = "consistent") -> Modes:
     """Solve for the first `num_modes` natural frequencies (Hz) and mode shapes of the beam.
 
@@ -107,16 +131,6 @@ def modes(beam: Cantilever, num_modes: int = 5, formulation: str = "consistent")
     check_choice("formulation", formulation, FORMULATIONS)
     taper, mass_ratio = _scalar("taper", beam.taper), _scalar("mass_ratio", beam.mass_ratio)
     solved = solve(taper, mass_ratio, int(num_modes))
-    mass, load = solved.area_integral_of_square, solved.area_integral
-    if formulation == "consistent":
-        mass = mass + mass_ratio * solved.tip**2
-        load = load + mass_ratio * solved.tip
-    return Modes(
-        beta=solved.beta,
-        angular_frequency=_scalar("frequency_scale", beam.frequency_scale) * solved.beta**2,
-        modal_mass=_scalar("reference_mass", beam.reference_mass) * mass,
-        participation=load / mass,
-        knots=solved.knots,
-        coefficients=solved.coefficients,
-        formulation=formulation,
-    )
+    scale = _scalar("frequency_scale", beam.frequency_scale)
+    reference_mass = _scalar("reference_mass", beam.reference_mass)
+    return _finish(solved, mass_ratio, scale, reference_mass, formulation)
