@@ -114,8 +114,8 @@ def run_scipy(
     """`scipy.integrate.solve_ivp` phase by phase, with terminal events, one lane after another.
 
     The step is bounded by the period / `steps_per_period`: solve_ivp looks for events by the signs
-    at its step ends, so a graze shorter than a step is missed and its lane lost. DOP853 is 1.5 times
-    as fast and far more precise lane by lane, with steps so long that it misses more of them.
+    at its step ends, so a graze shorter than a step is missed and its lane lost. DOP853 is faster
+    (1.5 times) and far more precise lane by lane, with steps so long that it misses more of them.
     """
     from scipy.integrate import solve_ivp
 
