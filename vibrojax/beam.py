@@ -18,7 +18,7 @@ def _number(name: str, value: Any) -> Any:
     return jnp.asarray(value) if isinstance(value, np.ndarray) else value
 
 
-def _field(name: str, **default: float) -> Any:
+def _field(name: str, **default: Any) -> Any:
     return eqx.field(converter=partial(_number, name), **default)
 
 

@@ -1,12 +1,11 @@
 """Natural frequencies and mode shapes of a cantilever, differentiable in every number of it."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._checks import check_choice, check_count, check_range
+from vibrojax._checks import check_choice, check_count, check_range, concrete
 from vibrojax._dtm import Shapes, evaluate, solve
 from vibrojax.beam import Cantilever
 
@@ -61,7 +60,7 @@ class Modes(eqx.Module):
 
     def __repr__(self) -> str:
         head = f"Modes(num_modes={self.num_modes}, formulation={self.formulation!r})"
-        if not isinstance(self.beta, jax.Array) or isinstance(self.beta, jax.core.Tracer):
+        if concrete(self.beta) is None:
             return head
         if self.beta.ndim != 1:
             return f"{head}, batch {self.beta.shape[:-1]}"
