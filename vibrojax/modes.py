@@ -54,8 +54,11 @@ class Modes(eqx.Module):
         """
         if isinstance(derivative, bool) or derivative not in range(4):
             raise ValueError(f"derivative must be 0, 1, 2 or 3, got {derivative!r}.")
-        check_range("s", s, 0.0, 1.0, allowed="from 0 (root) to 1 (tip)", advice="s is x/length.")
         points = jnp.asarray(s, dtype=self.beta.dtype)
+        given = points if isinstance(s, list | tuple) else s
+        check_range(
+            "s", given, 0.0, 1.0, allowed="from 0 (root) to 1 (tip)", advice="s is x/length."
+        )
         return evaluate(self.knots, self.coefficients, points, int(derivative))
 
     def __repr__(self) -> str:

@@ -1,0 +1,183 @@
+"""Stops and the laws of contact with them."""
+
+from abc import abstractmethod
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from vibrojax._checks import as_number, check_choice, check_not_negative, check_range
+
+DEFAULT_SMOOTHING = 1e-3
+"""Width of the rounded corner of the contact force when a `Stop` gives none, in gaps."""
+
+
+def number_field(name: str, **default: Any) -> Any:
+    """Make a field that holds one number: sweepable, batchable, differentiable."""
+    return eqx.field(converter=partial(as_number, name), **default)
+
+
+class AbstractContactLaw(eqx.Module):
+    """Force of a stop on the beam as a function of penetration and rate.
+
+    A law is elementwise and has `force(0, 0) == 0`; the `Stop` decides when there is contact and
+    rounds the corner, so a law never looks at the gap.
+    """
+
+    @abstractmethod
+    def force(
+        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return the force that resists penetration, N, positive when it pushes the beam off.
+
+        `penetration` (m) is at least 0 and `rate` (m/s) is its derivative.
+        """
+
+    @abstractmethod
+    def linear_coefficients(self) -> tuple[ArrayLike, ArrayLike] | None:
+        """Return (stiffness N/m, damping N s/m) when the force is linear in contact, else None."""
+
+    @property
+    @abstractmethod
+    def can_pull(self) -> bool:
+        """Whether the force may become negative at separation."""
+
+
+class KelvinVoigt(AbstractContactLaw):
+    """Spring and dashpot in parallel, F = stiffness d + damping d' while d > 0.
+
+    As printed the dashpot may pull the beam back at separation; `tension=False` lets go when the
+    force has fallen to zero. Source: Gandhi and Vyas 2017, eq. 7.
+
+    Raises `ValueError` for a negative stiffness or damping.
+    """
+
+    stiffness: float | Float[Array, "..."] = number_field("stiffness")
+    """Contact stiffness Ks, N/m."""
+    damping: float | Float[Array, "..."] = number_field("damping", default=0.0)
+    """Contact damping Cs, N s/m."""
+    tension: bool = eqx.field(static=True, default=True)
+    """Whether the stop may pull, as the printed law does."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a stop."""
+        check_not_negative("stiffness", self.stiffness, "N/m")
+        check_not_negative("damping", self.damping, "N s/m")
+        check_choice("tension", self.tension, (True, False))
+
+    def force(
+        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return stiffness d + damping d', cut off below zero without tension."""
+        force = self.stiffness * penetration + self.damping * rate
+        return force if self.tension else jnp.maximum(force, 0.0)
+
+    def linear_coefficients(self) -> tuple[ArrayLike, ArrayLike]:
+        """Return (stiffness, damping)."""
+        return self.stiffness, self.damping
+
+    @property
+    def can_pull(self) -> bool:
+        """Whether the force may become negative at separation."""
+        return self.tension
+
+
+def smooth_ramp(penetration: Float[Array, "..."], width: ArrayLike) -> Float[Array, "..."]:
+    """Round the corner of max(d, 0): exactly 0 for d <= 0, exactly d for d >= width, C2 between.
+
+    The quintic 6 u^3 - 8 u^4 + 3 u^5 (u = d/width) has no offset beyond the width, so the force
+    of a deep contact is not changed. A width of 0 keeps the corner.
+    """
+    rounded = jnp.asarray(width) > 0
+    safe = jnp.where(rounded, width, 1.0)
+    u = jnp.clip(penetration / safe, 0.0, 1.0)
+    polynomial = safe * u**3 * (6.0 - 8.0 * u + 3.0 * u**2)
+    linear = jnp.maximum(penetration, 0.0)
+    return jnp.where(rounded & (penetration < safe), polynomial, linear)
+
+
+def smooth_switch(penetration: Float[Array, "..."], width: ArrayLike) -> Float[Array, "..."]:
+    """Go from 0 (d <= 0) to 1 (d >= width) as a C2 polynomial; a jump when the width is 0."""
+    rounded = jnp.asarray(width) > 0
+    safe = jnp.where(rounded, width, 1.0)
+    u = jnp.clip(penetration / safe, 0.0, 1.0)
+    polynomial = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    jump = jnp.where(penetration > 0, 1.0, 0.0)
+    return jnp.where(rounded, polynomial, jump)
+
+
+class Stop(eqx.Module):
+    """A stop screwed to the base of the beam.
+
+    Raises `ValueError` for a position outside (0, 1], a negative gap or smoothing, a side other
+    than +1 and -1, or a law that is not an `AbstractContactLaw`. Source: Gandhi and Vyas 2017,
+    fig. 3 and eq. 7.
+    """
+
+    position: float | Float[Array, "..."] = number_field("position")
+    """Place along the beam, s1 = x/L."""
+    gap: float | Float[Array, "..."] = number_field("gap")
+    """Clearance lambda between the beam at rest and the stop, m."""
+    law: AbstractContactLaw
+    """Force as a function of penetration and rate."""
+    side: int = eqx.field(static=True, default=1)
+    """+1: the stop is above the beam (y > 0); -1: below."""
+    smoothing: float | Float[Array, "..."] | None = number_field("smoothing", default=None)
+    """Width, m of penetration, over which the corner of the force at touch is rounded.
+
+    None (the default): methods that locate the touch keep the corner exact, the others round it
+    over 1e-3 gap. A number: every method rounds over that width, 0 keeps the corner everywhere.
+    """
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a stop."""
+        check_range(
+            "position",
+            self.position,
+            0.0,
+            1.0,
+            include_low=False,
+            allowed="above 0 (root) and at most 1 (tip)",
+            advice="It is x/length.",
+        )
+        check_not_negative("gap", self.gap, "m")
+        if not isinstance(self.law, AbstractContactLaw):
+            raise ValueError(f"law must be a contact law such as KelvinVoigt, got {self.law!r}.")
+        check_choice("side", self.side, (1, -1))
+        if self.smoothing is not None:
+            check_not_negative("smoothing", self.smoothing, "m")
+
+    @property
+    def width(self) -> ArrayLike:
+        """Width of the rounded corner for methods that need one, m."""
+        return DEFAULT_SMOOTHING * self.gap if self.smoothing is None else self.smoothing
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the stop is exactly linear in contact and free of force out of it."""
+        exact = self.smoothing is None or (
+            isinstance(self.smoothing, float) and self.smoothing == 0.0
+        )
+        return exact and self.law.linear_coefficients() is not None
+
+    def force(
+        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return the rounded contact force, N, for any penetration (m) and its rate (m/s).
+
+        Positive when it pushes the beam away from the stop. The rate is switched on over the same
+        width as the penetration.
+        """
+        width = self.width
+        engaged = smooth_switch(penetration, width)
+        return self.law.force(smooth_ramp(penetration, width), engaged * rate)
+
+    def exact_force(
+        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return the contact force with its corner kept, N."""
+        touching = penetration > 0
+        force = self.law.force(jnp.maximum(penetration, 0.0), jnp.where(touching, rate, 0.0))
+        return jnp.where(touching, force, 0.0)

@@ -1,0 +1,209 @@
+"""Flight and contact as linear systems: modes of the beam for every set of touching stops.
+
+With linear stops the reduced model is linear in each *phase* (a set of stops in contact). Each
+phase has its own exact propagator: its state matrix is brought to blocks of two, a rotation with
+decay where the pair of eigenvalues is complex, two exponentials where it is real.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from vibrojax.systems.base import LinearEquations
+
+MAX_STOPS = 4
+"""More stops than this make too many phases (2 to their number) to tabulate."""
+
+
+@jax.custom_jvp
+def _eigen(matrix: Float[Array, "n n"]) -> tuple[Complex[Array, " n"], Complex[Array, "n n"]]:
+    """Eigenvalues and right eigenvectors; pairs with positive imaginary part first, then reals."""
+    values, vectors = jnp.linalg.eig(matrix)
+    group = jnp.where(values.imag > 0, 0, jnp.where(values.imag == 0, 1, 2))
+    order = jnp.lexsort((values.imag, group))
+    return values[order], vectors[:, order]
+
+
+@_eigen.defjvp
+def _eigen_jvp(primals, tangents):
+    # JAX has no derivative of non-symmetric eigenvectors. Their length is free, so its change is
+    # left out; distinct eigenvalues are assumed, as everywhere in modal analysis.
+    (matrix,), (change,) = primals, tangents
+    values, vectors = _eigen(matrix)
+    rotated = jnp.linalg.solve(vectors, change.astype(vectors.dtype) @ vectors)
+    gaps = values[None, :] - values[:, None]
+    same = gaps == 0
+    mixing = jnp.where(same, 0.0, rotated / jnp.where(same, 1.0, gaps))
+    return (values, vectors), (jnp.diagonal(rotated), vectors @ mixing)
+
+
+class ContactPhases(eqx.Module):
+    """Propagators, read-outs and changes of phase for every set of touching stops.
+
+    Axis `phases` runs over the sets, stop s touching where bit s of the index is set. State is
+    (q, q'); block coordinates are the two rows of every block. Arrays may carry lanes as trailing
+    axes (all of them or none).
+    """
+
+    exponent: Float[Array, "phases 2 blocks *lanes"]
+    """Real exponents of both rows, 1/s."""
+    rate: Float[Array, "phases blocks *lanes"]
+    """Angular frequency of a block, rad/s; 0 where its eigenvalues are real."""
+    oscillates: Float[Array, "phases blocks *lanes"]
+    """1 where the pair of eigenvalues is complex, else 0."""
+    to_state: Float[Array, "phases states states *lanes"]
+    """State of block coordinates."""
+    from_state: Float[Array, "phases states states *lanes"]
+    """Block coordinates of a state."""
+    rest: Float[Array, "phases states *lanes"]
+    """Block coordinates of the position of rest."""
+    input: Float[Array, "phases states *lanes"]
+    """Rate of the block coordinates under a unit input."""
+    readout: Float[Array, "rows states *lanes"]
+    """Rows that read a state: depth of each stop, its rate, response, its rate."""
+    gap: Float[Array, "stops *lanes"]
+    stiffness: Float[Array, "stops *lanes"]
+    damping: Float[Array, "stops *lanes"]
+    weight: Float[Array, "states *lanes"]
+    """Square roots of the weights of (q, q') in the energy."""
+    can_pull: tuple[bool, ...] = eqx.field(static=True)
+
+    @property
+    def num_stops(self) -> int:
+        """How many stops there are."""
+        return self.gap.shape[0]
+
+    @property
+    def num_blocks(self) -> int:
+        """How many blocks of two a phase has: the number of modes."""
+        return self.rate.shape[1]
+
+
+def contact_phases(equations: LinearEquations) -> ContactPhases:
+    """Compute the phases of one lane (the derivation is exact, damping of any kind included).
+
+    Raises `ValueError` when a stop is not linear in contact or there are more than `MAX_STOPS`.
+    """
+    stops = equations.stops
+    if not equations.has_linear_stops:
+        raise ValueError(
+            "ExactContact needs stops that are linear in contact with an unrounded corner "
+            "(KelvinVoigt, smoothing=None). Use ExponentialSplitting for other stops."
+        )
+    if len(stops) > MAX_STOPS:
+        raise ValueError(
+            f"ExactContact takes at most {MAX_STOPS} stops, got {len(stops)}. "
+            "Use ExponentialSplitting for more."
+        )
+    n = equations.angular_frequency.shape[0]
+    dtype = equations.angular_frequency.dtype
+    laws = [stop.law.linear_coefficients() or (0.0, 0.0) for stop in stops]
+
+    def column(values):
+        return jnp.stack([jnp.asarray(v, dtype) for v in values]) if values else jnp.zeros((0,))
+
+    stiffness, damping = column([k for k, _ in laws]), column([c for _, c in laws])
+    gap = column([stop.gap for stop in stops])
+    # Time in units of the first mode keeps positions and rates of like size in the eigenproblem.
+    unit = equations.angular_frequency[0]
+    w = equations.angular_frequency / unit
+    places, pushes = equations.stop_map, equations.force_map / unit**2
+    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)])
+
+    def one(touching):
+        push = pushes * touching
+        lower_q = -jnp.diag(w**2) - (push * stiffness) @ places
+        lower_v = -jnp.diag(2 * equations.damping_ratio * w) - (push * damping * unit) @ places
+        matrix = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [lower_q, lower_v]])
+        values, vectors = _eigen(matrix)
+        complex_pairs = jnp.sum(values.imag > 0)
+        index = jnp.arange(n)
+        oscillates = index < complex_pairs
+        first = jnp.where(oscillates, index, complex_pairs + 2 * (index - complex_pairs))
+        second = jnp.where(oscillates, first, first + 1)
+        left = jnp.where(oscillates, 2.0, 1.0) * vectors[:, first].real
+        right = jnp.where(oscillates, -2 * vectors[:, first].imag, vectors[:, second].real)
+        to_state = jnp.concatenate([left, right], axis=1)
+        from_state = jnp.linalg.inv(to_state)
+        pull = jnp.concatenate([jnp.zeros(n), push @ (stiffness * gap)])
+        rest = from_state @ jnp.linalg.solve(-matrix, pull)
+        drive = jnp.concatenate([jnp.zeros(n), equations.input_map / unit])
+        return (
+            jnp.stack([values[first].real, values[second].real]) * unit,
+            jnp.where(oscillates, values[first].imag, 0.0) * unit,
+            oscillates.astype(dtype),
+            scale[:, None] * to_state,
+            from_state / scale,
+            rest,
+            from_state @ drive,
+        )
+
+    sets = [[float(p >> s & 1) for s in range(len(stops))] for p in range(2 ** len(stops))]
+    tables = [one(jnp.asarray(touching, dtype)) for touching in sets]
+    exponent, rate, oscillates, to_state, from_state, rest, drive = (
+        jnp.stack(column) for column in zip(*tables, strict=True)
+    )
+    rows = jnp.concatenate([places, equations.response_map[None]])
+    zero = jnp.zeros_like(rows)
+    readout = jnp.concatenate(
+        [
+            jnp.concatenate([rows[:-1], zero[:-1]], axis=1),
+            jnp.concatenate([zero[:-1], rows[:-1]], axis=1),
+            jnp.concatenate([rows[-1:], zero[-1:]], axis=1),
+            jnp.concatenate([zero[-1:], rows[-1:]], axis=1),
+        ]
+    )
+    root_mass = jnp.sqrt(equations.modal_mass)
+    return ContactPhases(
+        exponent=exponent,
+        rate=rate,
+        oscillates=oscillates,
+        to_state=to_state,
+        from_state=from_state,
+        rest=rest,
+        input=drive,
+        readout=readout,
+        gap=gap,
+        stiffness=stiffness,
+        damping=damping,
+        weight=jnp.concatenate([root_mass * equations.angular_frequency, root_mass]),
+        can_pull=tuple(stop.law.can_pull for stop in stops),
+    )
+
+
+def forced_blocks(
+    phases: ContactPhases,
+    amplitude: Complex[Array, "*lanes"],
+    angular_frequency: Float[Array, "*lanes"],
+) -> Complex[Array, "phases states *lanes"]:
+    """Block coordinates Z of the steady response to the input Im(amplitude exp(i phase)).
+
+    The steady response in every phase is Im(Z exp(i phase)); each block is solved in closed form.
+    """
+    n = phases.num_blocks
+    lanes = angular_frequency.ndim
+    top, bottom = (spread(phases.input[:, rows], 2, lanes) for rows in (slice(n), slice(n, None)))
+    decay = spread(phases.exponent, 3, lanes)
+    rate = spread(phases.rate, 2, lanes)
+    along = 1j * angular_frequency - decay[:, 0]
+    across = 1j * angular_frequency - decay[:, 1]
+    # (i W - block) Z = input, block = [[a, -b], [b, a]] or diag(a1, a2) with b = 0.
+    determinant = along * across + rate**2
+    first = (across * top - rate * bottom) / determinant
+    second = (rate * top + along * bottom) / determinant
+    return amplitude * jnp.concatenate([first, second], axis=1)
+
+
+def spread(table: Array, rank: int, lanes: int) -> Array:
+    """Give a table of this rank that all lanes share as many trailing axes as there are lanes."""
+    if table.ndim > rank:
+        return table
+    return table.reshape(table.shape + (1,) * lanes)
+
+
+def contact_rates(phases: ContactPhases) -> Float[Array, "*lanes"]:
+    """Lowest angular frequency with all stops in contact, rad/s: sets how finely to look."""
+    rates = phases.rate[-1]
+    return jnp.min(jnp.where(rates > 0, rates, np.inf), axis=0)

@@ -1,0 +1,74 @@
+"""Small numerical pieces shared by the steppers."""
+
+import math
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+T = TypeVar("T")
+
+_COSINE = [(-1) ** n / math.factorial(2 * n) for n in range(11)]
+
+
+def cosine(angle: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Cosine to round-off for angles up to some thousands of radians.
+
+    One polynomial after reduction to half a turn. XLA calls the scalar library cosine for float64
+    on a CPU, nine times slower than this, which it vectorises.
+    """
+    turns = jnp.round(jax.lax.stop_gradient(angle) * (1 / np.pi))
+    rest = (angle - turns * np.pi) - turns * 1.2246467991473532e-16
+    square = rest * rest
+    value = jnp.full_like(square, _COSINE[-1])
+    for coefficient in _COSINE[-2::-1]:
+        value = value * square + coefficient
+    half = turns * 0.5
+    return value * (1.0 - 4.0 * (half - jnp.floor(half)))
+
+
+def computed_once(tick: Int[Array, ""], compute: Callable[[], T]) -> T:
+    """Return `compute()`, evaluated once although several results are made from it.
+
+    XLA's CPU backend repeats a shared intermediate inside every fused loop that uses it. A branch
+    is a border that fusion does not cross: it made the step of `ExactContact` 2.4 times faster.
+    `tick` is any counter that never is negative, which the compiler cannot know.
+    """
+    if jax.default_backend() != "cpu":
+        return compute()
+    shapes = jax.eval_shape(compute)
+    return jax.lax.cond(
+        tick >= 0, compute, lambda: jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+    )
+
+
+def cubic_maximum(
+    start: Float[Array, "..."],
+    start_slope: Float[Array, "..."],
+    end: Float[Array, "..."],
+    end_slope: Float[Array, "..."],
+) -> Float[Array, "..."]:
+    """Maximum on [0, 1] of the cubic with these end values and end slopes."""
+    curve = 3 * (end - start) - 2 * start_slope - end_slope
+    bend = 2 * (start - end) + start_slope + end_slope
+    # The stationary point that is a maximum, in the form that does not cancel when bend -> 0.
+    root = jnp.sqrt(jnp.maximum(curve**2 - 3 * bend * start_slope, 0.0))
+    below = root - curve
+    tiny = jnp.finfo(start.dtype).tiny
+    inside = (start_slope > 0) & (below > 0)
+    u = jnp.where(inside, start_slope / jnp.where(below > tiny, below, 1.0), 0.0)
+    u = jnp.clip(u, 0.0, 1.0)
+    interior = start + u * (start_slope + u * (curve + u * bend))
+    return jnp.maximum(jnp.maximum(start, end), interior)
+
+
+def apply_matrix(
+    matrix: Float[Array, "rows columns *lanes"], vector: Float[Array, "columns *lanes"]
+) -> Float[Array, "rows *lanes"]:
+    """Matrix times vector, the matrix shared by all lanes or one for each."""
+    if matrix.ndim == 2:
+        return jnp.tensordot(matrix, vector, axes=1)
+    return jnp.einsum("ij...,j...->i...", matrix, vector)

@@ -1,0 +1,498 @@
+"""Marching through linear contact without error of integration.
+
+Flight and contact are both linear (`contact_phases`), so a lane flies on exact propagators and the
+only approximation is where it changes phase. Each lane tries a step of its own length. When the
+cubic through the depths of a stop at both ends crosses zero, the step is tried again up to the
+crossing; once the depth there is within `event_tolerance`, a Newton correction lands on the
+crossing and the state goes over to the block coordinates of the new phase. The correction is what
+carries the derivative of the crossing time, so forward-mode derivatives are those of the
+non-smooth motion, saltation included.
+
+Every array has the lanes as trailing axes, for speed only (XLA then vectorises over lanes): with
+no such axes it is the code of one lane.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float, Int
+
+from vibrojax.stepping.contact_phases import (
+    ContactPhases,
+    contact_rates,
+    forced_blocks,
+    spread,
+)
+from vibrojax.stepping.elementary import apply_matrix, computed_once, cosine, cubic_maximum
+from vibrojax.stepping.measures import Measures, Segment, no_measures
+
+lax = jax.lax
+
+RETRIES = 40
+"""Attempts per step of the grid before a lane is given up as stalled."""
+
+
+class Forcing(NamedTuple):
+    """Tables of one drive frequency: everything the loop reads, split into sine and cosine."""
+
+    angular_frequency: Float[Array, "*lanes"]
+    start_phase: Float[Array, "*lanes"]
+    blocks: Complex[Array, "phases states *lanes"]
+    readout: Float[Array, "phases row states *lanes"]
+    readout_sine: Float[Array, "phases row *lanes"]
+    readout_cosine: Float[Array, "phases row *lanes"]
+    readout_rest: Float[Array, "phases row *lanes"]
+    change: Float[Array, "rows states *lanes"]  # phases and stops stacked
+    change_sine: Float[Array, "phases stops states *lanes"]
+    change_cosine: Float[Array, "phases stops states *lanes"]
+    change_rest: Float[Array, "phases stops states *lanes"]
+    longest_step: Float[Array, "*lanes"]
+    depth_tolerance: Float[Array, "*lanes"]
+
+
+class Flight(NamedTuple):
+    """Where a lane is: the carry of the loop."""
+
+    blocks: Float[Array, "2 blocks *lanes"]
+    phase: Int[Array, "*lanes"]
+    time: Float[Array, "*lanes"]
+    step: Float[Array, "*lanes"]
+    reading: Float[Array, "rows *lanes"]
+    finished: Int[Array, "*lanes"]
+    attempts: Int[Array, "*lanes"]
+    measures: Measures | None
+
+
+def forcing(
+    phases: ContactPhases,
+    amplitude: Complex[Array, "*lanes"],
+    angular_frequency: Float[Array, "*lanes"],
+    start_phase: Float[Array, "*lanes"],
+    longest_step: Float[Array, "*lanes"],
+    event_tolerance: float,
+) -> Forcing:
+    """Tabulate what a harmonic input Im(amplitude exp(i phase)) does in every phase."""
+    lanes = angular_frequency.ndim
+    stops, n = phases.num_stops, 2 * phases.num_blocks
+    count = 2**stops
+    steady = forced_blocks(phases, amplitude, angular_frequency)
+
+    readouts = [_block_readout(phases, p) for p in range(count)]
+    steady_read = [_steady_readout(phases, p, steady[p], angular_frequency) for p in range(count)]
+    gap = spread(_gap_column(phases), 1, lanes)
+    rest_read = jnp.stack(
+        [spread(apply_matrix(readouts[p], phases.rest[p]), 1, lanes) - gap for p in range(count)]
+    )
+    changes, jumps, rests = [], [], []
+    for p in range(count):
+        for s in range(stops):
+            q = p ^ (1 << s)
+            matrix = _product(phases.from_state[q], phases.to_state[p])
+            changes.append(matrix)
+            jumps.append(_complex_apply(matrix, steady[p]) - steady[q])
+            moved = apply_matrix(matrix, phases.rest[p]) - phases.rest[q]
+            rests.append(spread(moved, 1, lanes))
+
+    def table(rows, empty):
+        if not rows:
+            return jnp.zeros((count, 0, n, *empty))
+        return jnp.stack(rows).reshape(count, stops, n, *rows[0].shape[1:])
+
+    jump = table(jumps, angular_frequency.shape)
+    scale = spread(phases.gap, 1, lanes) + jnp.abs(steady_read[0][:stops])
+    depth_scale = jnp.max(scale, axis=0, initial=0.0)
+    return Forcing(
+        angular_frequency=angular_frequency,
+        start_phase=start_phase,
+        blocks=steady,
+        readout=jnp.stack(readouts),
+        readout_sine=jnp.stack([r.real for r in steady_read]),
+        readout_cosine=jnp.stack([r.imag for r in steady_read]),
+        readout_rest=rest_read,
+        change=jnp.concatenate(changes) if changes else jnp.zeros((0, n)),
+        change_sine=jump.real,
+        change_cosine=jump.imag,
+        change_rest=table(rests, (1,) * lanes),
+        longest_step=longest_step,
+        depth_tolerance=jnp.broadcast_to(event_tolerance * depth_scale, angular_frequency.shape),
+    )
+
+
+def _product(a, b):
+    return jnp.einsum("ij...,jk...->ik...", a, b)
+
+
+def _complex_apply(matrix, vector):
+    return apply_matrix(matrix, vector.real) + 1j * apply_matrix(matrix, vector.imag)
+
+
+def _gap_column(phases: ContactPhases) -> Float[Array, "rows *lanes"]:
+    """What is taken off a reading: the gap off each depth."""
+    rest = jnp.zeros((2 * phases.num_stops + 2, *phases.gap.shape[1:]))
+    return jnp.concatenate([phases.gap, rest])
+
+
+def _block_readout(phases: ContactPhases, p: int) -> Float[Array, "rows states *lanes"]:
+    """Read block coordinates of phase p: depth, speed, acceleration, response and its rate."""
+    stops, n = phases.num_stops, phases.num_blocks
+    plain = _product(phases.readout, phases.to_state[p])
+    velocity = plain[stops : 2 * stops]
+    left, right = velocity[:, :n], velocity[:, n:]
+    decay, rate = phases.exponent[p], phases.rate[p]
+    # d/dt of (z1, z2) is (a1 z1 - b z2, b z1 + a2 z2).
+    along = left * decay[0] + right * rate
+    across = right * decay[1] - left * rate
+    acceleration = jnp.concatenate([along, across], axis=1)
+    return jnp.concatenate([plain[: 2 * stops], acceleration, plain[2 * stops :]], axis=0)
+
+
+def _steady_readout(phases, p, steady, angular_frequency):
+    """Read the steady response of phase p, as complex amplitudes."""
+    stops = phases.num_stops
+    plain = _complex_apply(_product(phases.readout, phases.to_state[p]), steady)
+    acceleration = -(angular_frequency**2) * plain[:stops]
+    return jnp.concatenate([plain[: 2 * stops], acceleration, plain[2 * stops :]], axis=0)
+
+
+def _pick(index: Int[Array, "*lanes"], table: Array) -> Array:
+    """Take the row of each lane: `where` for the usual two, which XLA fuses; no gather."""
+    chosen = table[0]
+    for i in range(1, table.shape[0]):
+        chosen = jnp.where(index == i, table[i], chosen)
+    return chosen
+
+
+class _Loop:
+    """The attempt of one step, over tables that stay fixed while the loop runs."""
+
+    def __init__(self, phases: ContactPhases, force: Forcing, observe: bool):
+        self.phases, self.force, self.observe = phases, force, observe
+        self.lanes = force.angular_frequency.ndim
+        self.stops, self.n = phases.num_stops, phases.num_blocks
+        self.count = 2**self.stops
+        self.exponent = spread(phases.exponent, 3, self.lanes)
+        self.rate = spread(phases.rate, 2, self.lanes)
+        self.oscillates = spread(phases.oscillates, 2, self.lanes) > 0
+        self.period = 2 * jnp.pi / force.angular_frequency
+        # Velocity is read after a change of phase only by laws and measures that ask for it.
+        self.reread = observe or not all(phases.can_pull)
+        rows = 3 * self.stops + 2 if observe else (3 if self.reread else 2) * self.stops
+        self.readout = force.readout[:, :rows].reshape(-1, *force.readout.shape[2:])
+        self.readout_rest = force.readout_rest[:, :rows]
+        self.readout_sine = force.readout_sine[:, :rows]
+        self.readout_cosine = force.readout_cosine[:, :rows]
+
+        self.bits = self.column([1 << s for s in range(self.stops)]).astype(np.int32)
+
+    def phase_of(self, touching):
+        """Index of the phase in which these stops touch."""
+        return jnp.sum(jnp.where(touching, self.bits, 0), axis=0, dtype=jnp.int32)
+
+    def column(self, values):
+        return np.asarray(values).reshape((len(values),) + (1,) * self.lanes)
+
+    def phasor(self, time, quarter):
+        """Sine and cosine of the drive as one fused array: quarter = (1, 0) turns / 4."""
+        angle = self.force.start_phase + self.force.angular_frequency * time
+        return cosine(angle - self.column([np.pi / 2, 0.0]) * quarter)
+
+    def read(self, blocks, phase, sine, cosine_):
+        flat = blocks.reshape(2 * self.n, *blocks.shape[2:])
+        rows = apply_matrix(self.readout, flat)
+        rows = rows.reshape(self.count, -1, *rows.shape[1:])
+        return (
+            _pick(phase, rows + self.readout_rest)
+            + _pick(phase, self.readout_sine) * sine
+            + _pick(phase, self.readout_cosine) * cosine_
+        )
+
+    def touching(self, phase):
+        return (phase & self.bits) > 0
+
+    def contact(self, reading):
+        """Indicator of contact of each stop (positive in contact) and its rate, m and m/s."""
+        k = self.stops
+        depth, speed = reading[:k], reading[k : 2 * k]
+        if all(self.phases.can_pull):
+            return depth, speed
+        # Without tension contact also ends where the force does; a length: force over stiffness.
+        stiffness = spread(self.phases.stiffness, 1, self.lanes)
+        damping = spread(self.phases.damping, 1, self.lanes)
+        unit = stiffness + damping * self.force.angular_frequency
+        safe = jnp.where(unit > 0, unit, 1.0)
+        acceleration = reading[2 * k : 3 * k]
+        push = jnp.where(unit > 0, (stiffness * depth + damping * speed) / safe, depth)
+        push_rate = jnp.where(
+            unit > 0, (stiffness * speed + damping * acceleration) / safe, speed
+        )
+        pulls = self.column(self.phases.can_pull)
+        by_depth = pulls | (depth <= push)
+        return jnp.where(by_depth, depth, push), jnp.where(by_depth, speed, push_rate)
+
+    def advance(self, blocks, phase, step):
+        """Exact propagation of the block coordinates over a step of any length."""
+        decay, rate = _pick(phase, self.exponent), _pick(phase, self.rate)
+        oscillates = _pick(phase, self.oscillates)
+        quarter = self.column([0.0, np.pi / 2])[:, None]
+
+        def factors():
+            turn = jnp.where(oscillates, rate * step - quarter, 0.0)
+            return jnp.exp(decay * step) * cosine(turn)
+
+        return factors, oscillates
+
+    def rotate(self, factor, oscillates, blocks):
+        sign = self.column([-1.0, 1.0])[:, None]
+        along = jnp.where(oscillates, factor[:1], factor)
+        across = jnp.where(oscillates, factor[1:], 0.0)
+        return along * blocks + sign * across * blocks[::-1]
+
+    def drift(self, blocks, phase, time):
+        """First-order motion over a short time: the Newton correction of a crossing."""
+        decay, rate = _pick(phase, self.exponent), _pick(phase, self.rate)
+        sign = self.column([-1.0, 1.0])[:, None]
+        return blocks + time * (decay * blocks + sign * rate * blocks[::-1])
+
+    def proposal(self, start, start_rate, end, end_rate, step, touching, tolerance):
+        """Fraction of the step up to the first crossing of any stop; 1 where there is none."""
+        sign = jnp.where(touching, -1.0, 1.0)
+        f0, f1 = jnp.minimum(sign * start, 0.0), sign * end
+        d0, d1 = sign * start_rate * step, sign * end_rate * step
+        curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
+        crossed = f1 > tolerance
+        # Newton on the cubic from the secant; from the turning point when the step starts on it.
+        tiny = jnp.finfo(f0.dtype).tiny
+        secant = -f0 / jnp.where(crossed, f1 - f0, 1.0)
+        turning = jnp.where(d0 > 0, 0.5, jnp.clip(-d0 / jnp.where(curve == 0, 1.0, curve), 0, 1))
+        u = jnp.clip(jnp.where(f0 > -tolerance, turning, secant), 0.02, 1.0)
+        for _ in range(4):
+            value = f0 + u * (d0 + u * (curve + u * bend))
+            slope = d0 + u * (2 * curve + 3 * u * bend)
+            u = jnp.clip(u - value / jnp.where(jnp.abs(slope) < tiny, tiny, slope), 0.005, 0.999)
+        # A touch and go inside the step shows as a maximum above zero.
+        root = jnp.sqrt(jnp.maximum(curve**2 - 3 * bend * d0, 0.0))
+        below = root - curve
+        top = d0 / jnp.where(below > tiny, below, 1.0)
+        height = f0 + top * (d0 + top * (curve + top * bend))
+        hidden = ~crossed & (below > tiny) & (top > 0.01) & (top < 0.99) & (height > tolerance)
+        return jnp.min(jnp.where(crossed, u, jnp.where(hidden, top, 1.0)), axis=0, initial=1.0)
+
+    def attempt(self, flight: Flight, live: Bool[Array, "*lanes"], tick, until) -> Flight:
+        """Try one step in every live lane; `until` is the time at which a lane's run ends."""
+        once = lambda f: computed_once(tick, f)  # noqa: E731
+        force, phase, step = self.force, flight.phase, flight.step
+        tolerance = force.depth_tolerance
+        factors, oscillates = self.advance(flight.blocks, phase, step)
+        moved = self.rotate(once(factors), oscillates, flight.blocks)
+        time = flight.time + step
+        wave = once(lambda: self.phasor(time, 1.0))
+        reading = once(lambda: self.read(moved, phase, wave[0], wave[1]))
+        touching = self.touching(phase)
+        start, start_rate = self.contact(flight.reading)
+        end, end_rate = self.contact(reading)
+
+        def propose():
+            return self.proposal(
+                *(lax.stop_gradient(a) for a in (start, start_rate, end, end_rate, step)),
+                touching,
+                tolerance,
+            )
+
+        fraction = once(propose)
+        kept = live & (fraction >= 1.0)
+        outward = jnp.where(touching, -end_rate, end_rate)
+        arrived = (jnp.abs(end) <= tolerance) & (outward > 0) & kept
+        # One stop changes at a time; another one that arrived too is found by the next attempt.
+        first = jnp.cumsum(arrived.astype(jnp.int32), axis=0) == 1
+        arrived = arrived & first
+        flips = jnp.any(arrived, axis=0)
+        arriving = jnp.sum(jnp.where(arrived, end, 0.0), axis=0)
+        speed = lax.stop_gradient(jnp.sum(jnp.where(arrived, end_rate, 0.0), axis=0))
+        limit = 0.02 * lax.stop_gradient(step)
+        late = jnp.where(flips, -arriving / jnp.where(speed == 0, 1.0, speed), 0.0)
+        late = jnp.clip(late, -limit, limit)
+        time, landed = time + late, self.drift(moved, phase, late)
+        turn = force.angular_frequency * late
+        sine, cosine_ = wave[0] + turn * wave[1], wave[1] - turn * wave[0]
+        blocks, new_phase = landed, phase
+        if self.stops:
+            blocks, new_phase = self.change_phase(landed, phase, arrived, flips, sine, cosine_)
+        done = kept & (time >= until - 1e-12 * step)
+
+        def act():
+            return jnp.where(kept, jnp.where(flips, 2, 1), 0).astype(jnp.int32)
+
+        action = once(act)
+        blocks = jnp.where(action == 2, blocks, jnp.where(action == 1, moved, flight.blocks))
+        new_phase = jnp.where(action == 2, new_phase, phase)
+        if self.reread:
+            fresh = self.read(blocks, new_phase, sine, cosine_)
+            settled = jnp.where(action > 0, fresh, flight.reading)
+        else:
+            settled = jnp.where(action > 0, reading, flight.reading)
+        measures = flight.measures
+        if measures is not None:
+            segment = self.segment(flight, reading, step + late, time, touching, arrived)
+            measures = measures.add(segment, kept)
+        ended = jnp.where(done, 0.0, time)
+        following = self.next_step(settled, new_phase, until - ended)
+        return Flight(
+            blocks=blocks,
+            phase=new_phase,
+            time=jnp.where(kept, ended, flight.time),
+            step=jnp.where(live, jnp.where(kept, following, fraction * step), step),
+            reading=settled,
+            finished=flight.finished + done,
+            attempts=flight.attempts + live,
+            measures=measures,
+        )
+
+    def change_phase(self, landed, phase, arrived, flips, sine, cosine_):
+        """Go over to the block coordinates of the phase that the arrived stop leads to."""
+        force = self.force
+        flat = landed.reshape(2 * self.n, *landed.shape[2:])
+        rows = apply_matrix(force.change, flat)
+        rows = rows.reshape(self.count, self.stops, 2 * self.n, *rows.shape[1:])
+        rows = rows + force.change_rest
+        rows = rows + force.change_sine * sine + force.change_cosine * cosine_
+        by_stop = _pick(phase, rows)
+        changed = by_stop[0]
+        for s in range(1, self.stops):
+            changed = jnp.where(arrived[s], by_stop[s], changed)
+        flipped = phase ^ self.phase_of(arrived)
+        return changed.reshape(landed.shape), jnp.where(flips, flipped, phase)
+
+    def next_step(self, reading, phase, left):
+        """Longest step, cut where the present speeds bring a stop to its crossing soon."""
+        longest = self.force.longest_step
+        if self.stops:
+            value, rate = (lax.stop_gradient(a) for a in self.contact(reading))
+            sign = jnp.where(self.touching(phase), -1.0, 1.0)
+            closing = (sign * rate > 0) & (sign * value < 0)
+            soon = jnp.where(closing, -value / jnp.where(closing, rate, 1.0), np.inf)
+            soon = jnp.min(soon, axis=0)
+            tight = (soon < 0.1 * lax.stop_gradient(longest)) & (soon > 0)
+            longest = jnp.where(tight, soon, longest)
+        return jnp.minimum(longest, left)
+
+    def segment(self, flight, reading, duration, time, touching, arrived):
+        """What the measures see of an accepted step."""
+        k = self.stops
+        start = flight.reading
+        stiffness = spread(self.phases.stiffness, 1, self.lanes)
+        damping = spread(self.phases.damping, 1, self.lanes)
+
+        def force_of(r):
+            depth, speed, acceleration = r[:k], r[k : 2 * k], r[2 * k : 3 * k]
+            value = stiffness * depth + damping * speed
+            return value, stiffness * speed + damping * acceleration
+
+        (f0, g0), (f1, g1) = force_of(start), force_of(reading)
+        peak = jnp.where(touching, cubic_maximum(f0, g0 * duration, f1, g1 * duration), 0.0)
+        angle = self.force.start_phase + self.force.angular_frequency * flight.time
+        return Segment(
+            duration=duration,
+            angle=angle,
+            angle_rate=self.force.angular_frequency,
+            response=(start[3 * k], reading[3 * k]),
+            response_rate=(start[3 * k + 1], reading[3 * k + 1]),
+            force=jnp.max(peak, axis=0, initial=0.0),
+            touches=jnp.any(touching, axis=0),
+            entries=jnp.sum(arrived & ~touching, axis=0),
+        )
+
+
+def enter(loop: _Loop, state: Float[Array, "states *lanes"]) -> Flight:
+    """Put a state (q, q') at time 0 into block coordinates."""
+    force, phases = loop.force, loop.phases
+    zero = jnp.zeros_like(force.angular_frequency)
+    wave = loop.phasor(zero, 1.0)
+    # By depth alone: without tension the first attempts correct a start that would be pulled.
+    depth = apply_matrix(phases.readout[: loop.stops], state)
+    touching = depth > spread(phases.gap, 1, loop.lanes)
+    phase = jnp.broadcast_to(loop.phase_of(touching), zero.shape)
+
+    def blocks_of(p):
+        steady = force.blocks[p]
+        forced = steady.real * wave[0] + steady.imag * wave[1]
+        rest = spread(phases.rest[p], 1, loop.lanes)
+        return apply_matrix(phases.from_state[p], state) - forced - rest
+
+    blocks = _pick(phase, jnp.stack([blocks_of(p) for p in range(loop.count)]))
+    blocks = blocks.reshape(2, loop.n, *blocks.shape[1:])
+    reading = loop.read(blocks, phase, wave[0], wave[1])
+    count = jnp.zeros(zero.shape, jnp.int32)
+    measures = no_measures(zero) if loop.observe else None
+    return Flight(blocks, phase, zero, zero, reading, count, count, measures)
+
+
+def leave(loop: _Loop, flight: Flight) -> Float[Array, "states *lanes"]:
+    """State (q, q') of a flight."""
+    force, phases = loop.force, loop.phases
+    wave = loop.phasor(flight.time, 1.0)
+    flat = flight.blocks.reshape(2 * loop.n, *flight.blocks.shape[2:])
+
+    def state_of(p):
+        steady = force.blocks[p]
+        forced = steady.real * wave[0] + steady.imag * wave[1]
+        rest = spread(phases.rest[p], 1, loop.lanes)
+        return apply_matrix(phases.to_state[p], flat + forced + rest)
+
+    return _pick(flight.phase, jnp.stack([state_of(p) for p in range(loop.count)]))
+
+
+def march(
+    phases: ContactPhases,
+    force: Forcing,
+    state: Float[Array, "states *lanes"],
+    periods: int | Int[Array, "*lanes"],
+    *,
+    observe: bool = False,
+) -> tuple[Float[Array, "states *lanes"], Int[Array, "*lanes"], Measures | None]:
+    """March every lane over its number of drive periods, each at its own pace.
+
+    Returns the states (q, q'), the attempts made, and the measures where `observe` asks for them.
+    A lane that takes more than `RETRIES` attempts for every step of the grid is left where it is,
+    with fewer periods behind it, and its state is NaN: the caller flags it.
+    """
+    loop = _Loop(phases, force, observe)
+    flight = enter(loop, state)
+    longest = loop.next_step(flight.reading, flight.phase, loop.period)
+    flight = flight._replace(step=jnp.broadcast_to(longest, loop.period.shape))
+    target = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), loop.period.shape)
+    grid = jnp.ceil(loop.period / force.longest_step)
+    budget = (target * jnp.minimum(RETRIES * grid, 1e7)).astype(jnp.int32)
+
+    def live(flight):
+        return (flight.finished < target) & (flight.attempts < budget)
+
+    def body(carry):
+        flight, tick = carry
+        return loop.attempt(flight, live(flight), tick, loop.period), tick + 1
+
+    flight, _ = lax.while_loop(lambda c: jnp.any(live(c[0])), body, (flight, jnp.int32(0)))
+    end = leave(loop, flight)
+    end = jnp.where(flight.finished >= target, end, jnp.nan)
+    return end, flight.attempts, flight.measures
+
+
+def longest_step(
+    phases: ContactPhases,
+    angular_frequency: Float[Array, "*lanes"],
+    tolerance: float,
+    steps_per_period: int | None,
+) -> Float[Array, "*lanes"]:
+    """Longest step, s: short against a contact and against the drive period.
+
+    Propagation is exact at any step; the step decides whether a short contact is seen. Twelve to a
+    period of the beam resting on its stops see contacts to 1e-3 of the response, 24 to 1e-6, as
+    measured over the rigs of the benchmark.
+    """
+    period = 2 * jnp.pi / angular_frequency
+    if steps_per_period is not None:
+        return period / steps_per_period
+    per_contact = 12.0 * (1e-3 / tolerance) ** 0.1
+    contact = 2 * jnp.pi / spread(contact_rates(phases), 0, angular_frequency.ndim)
+    return jnp.minimum(contact / per_contact, period / 24)

@@ -1,0 +1,82 @@
+"""What is measured of a response while it is marched: extremes, means, contacts."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from vibrojax.stepping.elementary import cubic_maximum
+
+
+class Segment(NamedTuple):
+    """One accepted step, on which the response is a cubic: (start, end) of values and rates."""
+
+    duration: Float[Array, "*lanes"]
+    angle: Float[Array, "*lanes"]
+    """Phase of the drive at the start, rad."""
+    angle_rate: Float[Array, "*lanes"]
+    response: tuple[Float[Array, "*lanes"], Float[Array, "*lanes"]]
+    response_rate: tuple[Float[Array, "*lanes"], Float[Array, "*lanes"]]
+    force: Float[Array, "*lanes"]
+    """Largest contact force in the step, N."""
+    touches: Bool[Array, "*lanes"]
+    entries: Int[Array, "*lanes"]
+    """How many stops were touched at the end of the step."""
+
+
+class Measures(NamedTuple):
+    """Running sums and extremes over the steps of a lane."""
+
+    time: Float[Array, "*lanes"]
+    highest: Float[Array, "*lanes"]
+    lowest: Float[Array, "*lanes"]
+    integral_of_square: Float[Array, "*lanes"]
+    integral_with_sine: Float[Array, "*lanes"]
+    integral_with_cosine: Float[Array, "*lanes"]
+    force: Float[Array, "*lanes"]
+    contact_time: Float[Array, "*lanes"]
+    contacts: Int[Array, "*lanes"]
+
+    def add(self, part: Segment, kept: Bool[Array, "*lanes"]) -> "Measures":
+        """Add a step where it was kept.
+
+        Integrals by the trapezoidal rule with its end correction, of fourth order; extremes of the
+        cubic through both ends.
+        """
+        (y0, y1), (v0, v1), h = part.response, part.response_rate, part.duration
+        high = cubic_maximum(y0, v0 * h, y1, v1 * h)
+        low = -cubic_maximum(-y0, -v0 * h, -y1, -v1 * h)
+
+        def integral(f0, g0, f1, g1):
+            return h / 2 * (f0 + f1) + h**2 / 12 * (g0 - g1)
+
+        end = part.angle + part.angle_rate * h
+        s0, c0, s1, c1 = jnp.sin(part.angle), jnp.cos(part.angle), jnp.sin(end), jnp.cos(end)
+        w = part.angle_rate
+        square = integral(y0**2, 2 * y0 * v0, y1**2, 2 * y1 * v1)
+        sine = integral(y0 * s0, v0 * s0 + w * y0 * c0, y1 * s1, v1 * s1 + w * y1 * c1)
+        cosine = integral(y0 * c0, v0 * c0 - w * y0 * s0, y1 * c1, v1 * c1 - w * y1 * s1)
+
+        def plus(total, value):
+            return total + jnp.where(kept, value, 0)
+
+        return Measures(
+            time=plus(self.time, h),
+            highest=jnp.where(kept, jnp.maximum(self.highest, high), self.highest),
+            lowest=jnp.where(kept, jnp.minimum(self.lowest, low), self.lowest),
+            integral_of_square=plus(self.integral_of_square, square),
+            integral_with_sine=plus(self.integral_with_sine, sine),
+            integral_with_cosine=plus(self.integral_with_cosine, cosine),
+            force=jnp.where(kept, jnp.maximum(self.force, part.force), self.force),
+            contact_time=plus(self.contact_time, jnp.where(part.touches, h, 0.0)),
+            contacts=plus(self.contacts, part.entries),
+        )
+
+
+def no_measures(like: Float[Array, "*lanes"]) -> Measures:
+    """Measures before the first step."""
+    zero = jnp.zeros_like(like)
+    far = jnp.full_like(like, jnp.inf)
+    return Measures(
+        zero, -far, far, zero, zero, zero, zero, zero, jnp.zeros(like.shape, jnp.int32)
+    )

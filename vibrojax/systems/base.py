@@ -1,0 +1,177 @@
+"""What moves: the equation every system shares.
+
+M(q) q'' + C q' + K q = f(q, q') + B(q) a(t) + sum over stops of J(q)^T F(penetration, rate)
+
+with C and K constant. A *system* holds the numbers a person gives; its *equations* are computed
+from them once, before any stepping, so that nothing derived can go stale.
+"""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from vibrojax.contact import Stop
+from vibrojax.drive import AbstractDrive, AbstractWaveform
+
+
+class AbstractEquations(eqx.Module):
+    """The equations of motion of one lane; no batch axis.
+
+    A subclass gives the pieces, of which only the linear ones are constant; the acceleration
+    follows from them here.
+    """
+
+    stops: eqx.AbstractVar[tuple[Stop, ...]]
+
+    @abstractmethod
+    def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
+        """Return the mass matrix M(q)."""
+
+    @abstractmethod
+    def linear_force(
+        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
+    ) -> Float[Array, " coordinates"]:
+        """Return C q' + K q."""
+
+    @abstractmethod
+    def smooth_force(
+        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
+    ) -> Float[Array, " coordinates"]:
+        """Return f(q, q'), the smooth nonlinear force (zero for a linear system)."""
+
+    @abstractmethod
+    def input(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+        """Return B(q), the generalised force of a unit input."""
+
+    @abstractmethod
+    def penetration(self, q: Float[Array, " coordinates"]) -> Float[Array, " stops"]:
+        """Return how deep the body is in each stop, m; negative out of contact."""
+
+    @abstractmethod
+    def response(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
+        """Return the displacement that a frequency response reports, m (the tip, say)."""
+
+    def contact_forces(
+        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
+    ) -> Float[Array, " stops"]:
+        """Return the rounded force of each stop, N, positive when it pushes the body off."""
+        depth, depth_rate = jax.jvp(self.penetration, (q,), (rate,))
+        forces = [stop.force(depth[i], depth_rate[i]) for i, stop in enumerate(self.stops)]
+        return jnp.stack(forces) if forces else jnp.zeros((0,), q.dtype)
+
+    def acceleration(
+        self,
+        q: Float[Array, " coordinates"],
+        rate: Float[Array, " coordinates"],
+        drive_input: Float[ArrayLike, ""],
+    ) -> Float[Array, " coordinates"]:
+        """Solve the equation of motion for q''."""
+        _, pull_back = jax.vjp(self.penetration, q)
+        (contact,) = pull_back(-self.contact_forces(q, rate))
+        total = (
+            self.smooth_force(q, rate)
+            - self.linear_force(q, rate)
+            + self.input(q) * drive_input
+            + contact
+        )
+        return jnp.linalg.solve(self.mass(q), total)
+
+
+class LinearEquations(AbstractEquations):
+    """Modal equations of a body that is linear but for its stops.
+
+    q_i'' + 2 zeta_i w_i q_i' + w_i^2 q_i = input_i a(t) - sum over stops force_map_is F_s. The
+    equations of the beam, and of anything reduced to its modes. Source: Gandhi and Vyas 2017,
+    eqs. 36 and 37. Arrays may carry lanes as trailing axes.
+    """
+
+    stops: tuple[Stop, ...]
+    angular_frequency: Float[Array, "coordinates *lanes"]
+    """Natural angular frequencies w_i, rad/s."""
+    damping_ratio: Float[Array, "coordinates *lanes"]
+    """Damping ratios zeta_i."""
+    input_map: Float[Array, "coordinates *lanes"]
+    """Modal acceleration of a unit input."""
+    stop_map: Float[Array, "stops coordinates *lanes"]
+    """Displacement of each stop's contact point towards the stop, by coordinate."""
+    force_map: Float[Array, "coordinates stops *lanes"]
+    """Modal acceleration of a unit contact force, by stop; the force acts against it."""
+    response_map: Float[Array, "coordinates *lanes"]
+    """Displacement that a frequency response reports, by coordinate."""
+    modal_mass: Float[Array, "coordinates *lanes"]
+    """Modal masses, kg; weights of the energy."""
+
+    def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
+        """Return the diagonal of modal masses."""
+        return jnp.diag(self.modal_mass)
+
+    def linear_force(
+        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
+    ) -> Float[Array, " coordinates"]:
+        """Return C q' + K q."""
+        w = self.angular_frequency
+        return self.modal_mass * (2 * self.damping_ratio * w * rate + w**2 * q)
+
+    def smooth_force(
+        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
+    ) -> Float[Array, " coordinates"]:
+        """Return zero: the body is linear."""
+        return jnp.zeros_like(q)
+
+    def input(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+        """Return the generalised force of a unit input."""
+        return self.modal_mass * self.input_map
+
+    def penetration(self, q: Float[Array, " coordinates"]) -> Float[Array, " stops"]:
+        """Return how deep the body is in each stop, m."""
+        gaps = jnp.stack([jnp.asarray(s.gap) for s in self.stops]) if self.stops else 0.0
+        return self.stop_map @ q - gaps
+
+    def response(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
+        """Return the reported displacement, m."""
+        return self.response_map @ q
+
+    @property
+    def has_linear_stops(self) -> bool:
+        """Whether contact and flight are both exactly linear."""
+        return all(stop.is_linear for stop in self.stops)
+
+    def acceleration(
+        self,
+        q: Float[Array, " coordinates"],
+        rate: Float[Array, " coordinates"],
+        drive_input: Float[ArrayLike, ""],
+    ) -> Float[Array, " coordinates"]:
+        """Solve the equation of motion for q'', without forming the diagonal mass matrix."""
+        w = self.angular_frequency
+        free = self.input_map * drive_input - 2 * self.damping_ratio * w * rate - w**2 * q
+        return free - self.force_map @ self.contact_forces(q, rate)
+
+
+class AbstractSystem(eqx.Module):
+    """A thing that moves and can be driven. Its numbers are leaves; its equations derive."""
+
+    drive: eqx.AbstractVar[AbstractDrive]
+
+    @abstractmethod
+    def equations(self) -> AbstractEquations:
+        """Compute the equations of motion from the numbers of the system."""
+
+
+class Motion(eqx.Module):
+    """Equations, drive and waveform together: all that a solver's `args` need."""
+
+    equations: AbstractEquations
+    drive: AbstractDrive
+    waveform: AbstractWaveform
+
+    def vector_field(
+        self, time: Float[ArrayLike, ""], state: Float[Array, " two_coordinates"], args: object
+    ) -> Float[Array, " two_coordinates"]:
+        """Return d(q, q')/dt: the vector field of any diffrax solver."""
+        q, rate = jnp.split(state, 2)
+        drive_input = self.drive.input(self.waveform, jnp.asarray(time, state.dtype))
+        return jnp.concatenate([rate, self.equations.acceleration(q, rate, drive_input)])

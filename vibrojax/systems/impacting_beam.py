@@ -1,0 +1,93 @@
+"""A cantilever that hits stops, as a reduced-order model in its own modes."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from vibrojax._checks import check_choice, check_count, check_not_negative
+from vibrojax.beam import Cantilever
+from vibrojax.contact import Stop, number_field
+from vibrojax.drive import AbstractDrive, NoDrive, PointForce
+from vibrojax.modes import FORMULATIONS, Modes, modes
+from vibrojax.systems.base import AbstractSystem, LinearEquations
+
+
+def _as_stops(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:
+    return (stops,) if isinstance(stops, Stop) else tuple(stops)
+
+
+class ImpactingBeam(AbstractSystem):
+    """A cantilever, its stops and its drive, reduced to the first modes of the free beam.
+
+    Displacements are relative to the base. Source: Gandhi and Vyas 2017, eqs. 8, 36 and 37; the
+    default `consistent` formulation corrects their modal mass and participation (see `modes`).
+
+    Raises `ValueError` for num_modes below 1, a negative damping ratio, an unknown formulation, or
+    stops and drive that are none.
+    """
+
+    beam: Cantilever
+    stops: tuple[Stop, ...] = eqx.field(converter=_as_stops, default=())
+    """One or several stops, on either side."""
+    drive: AbstractDrive = eqx.field(default_factory=NoDrive)
+    """Base motion, point force or none."""
+    damping_ratio: float | Float[Array, "..."] = number_field("damping_ratio", default=0.0)
+    """Damping ratio zeta of every mode (Gandhi and Vyas 2017, sec. 3)."""
+    num_modes: int = eqx.field(static=True, default=5)
+    """How many modes are kept."""
+    formulation: str = eqx.field(static=True, default="consistent")
+    """`consistent`, or `as_printed` to replicate the paper."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a rig."""
+        if not isinstance(self.beam, Cantilever):
+            raise ValueError(f"beam must be a Cantilever, got {self.beam!r}.")
+        for stop in self.stops:
+            if not isinstance(stop, Stop):
+                raise ValueError(f"stops must hold Stop objects, got {stop!r}.")
+        if not isinstance(self.drive, AbstractDrive):
+            raise ValueError(
+                f"drive must be BaseMotion, PointForce or NoDrive, got {self.drive!r}."
+            )
+        check_not_negative("damping_ratio", self.damping_ratio, "(fraction of critical)")
+        check_count("num_modes", self.num_modes)
+        check_choice("formulation", self.formulation, FORMULATIONS)
+
+    def modes(self) -> Modes:
+        """Return the modes of the free beam that the model is reduced to."""
+        return modes(self.beam, self.num_modes, self.formulation)
+
+    def equations(self) -> LinearEquations:
+        """Reduce the beam to its modes and place the stops and the drive on them."""
+        free = self.modes()
+        if self.stops:
+            places = jnp.stack([jnp.asarray(stop.position) for stop in self.stops])
+            towards = jnp.asarray([float(stop.side) for stop in self.stops])
+            stop_map = towards[:, None] * free.shape(places)
+        else:
+            stop_map = jnp.zeros((0, self.num_modes))
+        if isinstance(self.drive, PointForce):
+            input_map = free.shape(self.drive.position) / free.modal_mass
+        else:
+            input_map = free.participation
+        return LinearEquations(
+            stops=self.stops,
+            angular_frequency=free.angular_frequency,
+            damping_ratio=self.damping_ratio * jnp.ones(self.num_modes),
+            input_map=input_map,
+            stop_map=stop_map,
+            force_map=(stop_map / free.modal_mass).T,
+            response_map=free.shape(1.0),
+            modal_mass=free.modal_mass,
+        )
+
+    def static_shape(self, tip_displacement: ArrayLike) -> Float[Array, " modes"]:
+        """Return the modal coordinates (m) of the beam pulled at its tip by a static force.
+
+        The force is whatever brings the tip to `tip_displacement` (m); let go, the beam is
+        released from there (Ledezma-Ramirez et al., free vibration tests).
+        """
+        free = self.modes()
+        tip = free.shape(1.0)
+        flexibility = tip / (free.modal_mass * free.angular_frequency**2)
+        return jnp.asarray(tip_displacement) * flexibility / (tip @ flexibility)
