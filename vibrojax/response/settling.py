@@ -1,0 +1,212 @@
+"""From a state to the steady state it leads to: march, recognise, polish.
+
+A steady state is recognised on the stroboscopic map: the state returns after n drive periods, and
+the geometric decay of the returns says how far away the limit still is. Where it is near, Newton's
+method on the map of n periods (Jacobian in forward mode through the stepper) puts the state on the
+orbit; only a stable orbit, close to where the march was, is accepted, so the march alone decides
+which attractor it is. The rest marches on.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from vibrojax.results.status import Status
+from vibrojax.stepping.measures import Measures
+from vibrojax.stepping.method import AbstractMarch
+
+lax = jax.lax
+
+NEAR = 2e-3
+"""Relative distance from the limit at which Newton's method is tried."""
+STEADY = 3
+"""Periods in a row that have to look settled."""
+APERIODIC_PERIODS = 24
+"""Periods over which a motion without a period is measured."""
+
+
+class Settled(NamedTuple):
+    """What a lane came to at one frequency."""
+
+    state: Float[Array, "states *lanes"]
+    period: Int[Array, "*lanes"]
+    status: Int[Array, "*lanes"]
+    periods_marched: Int[Array, "*lanes"]
+    steps: Int[Array, "*lanes"]
+    measures: Measures
+
+
+class _Search(NamedTuple):
+    history: Float[Array, "strobes states *lanes"]
+    last_error: Float[Array, "orders *lanes"]
+    streak: Int[Array, "*lanes"]
+    marched: Int[Array, "*lanes"]
+    steps: Int[Array, "*lanes"]
+    done: Bool[Array, "*lanes"]
+
+
+
+def _size(weighted: Float[Array, "..."], axis: int) -> Array:
+    return jnp.sqrt(jnp.sum(weighted**2, axis=axis))
+
+
+def _return_errors(history, max_period):
+    """Estimated relative distance from a period-n limit, for n up to the largest.
+
+    The returns of a converging motion shrink geometrically; their sum is what is left.
+    """
+    now = history[0]
+    size = jnp.maximum(jnp.max(_size(history, 1), axis=0), jnp.finfo(now.dtype).tiny)
+    errors, returns = [], []
+    for n in range(1, max_period + 1):
+        recent = _size(history[0] - history[n], 0)
+        before = _size(history[n] - history[2 * n], 0)
+        ratio = jnp.where(before > 0, recent / jnp.where(before > 0, before, 1.0), 0.0)
+        left = jnp.where(ratio < 1, recent * ratio / jnp.where(ratio < 1, 1 - ratio, 1.0), jnp.inf)
+        # At round-off level the ratio says nothing any more.
+        left = jnp.where(recent < 1e-12 * size, recent, jnp.maximum(left, recent * 0.1))
+        errors.append(left / size)
+        returns.append(recent / size)
+    return jnp.stack(errors), jnp.stack(returns)
+
+
+def _march_until(march, weight, search, frequency, tolerance, max_period, max_periods):
+    """March all lanes that are not done until their motion returns to within the tolerance."""
+
+    def step(search: _Search) -> _Search:
+        live = ~search.done
+        state = search.history[0] / weight
+        new, steps, _ = march(state, frequency, live.astype(jnp.int32), False)
+        history = jnp.concatenate([(new * weight)[None], search.history[:-1]])
+        history = jnp.where(live, history, search.history)
+        marched = search.marched + live
+        error, _ = _return_errors(history, max_period)
+        worst = jnp.maximum(error, search.last_error)
+        near = jnp.min(worst, axis=0) <= tolerance
+        full = marched >= 2 * max_period
+        streak = jnp.where(near & full, search.streak + 1, 0)
+        lost = ~jnp.all(jnp.isfinite(history[0]), axis=0)
+        done = search.done | (streak >= STEADY) | lost | (marched >= max_periods)
+        return _Search(
+            history=history,
+            last_error=jnp.where(live, error, search.last_error),
+            streak=jnp.where(live, streak, search.streak),
+            marched=marched,
+            steps=search.steps + jnp.where(live, steps, 0),
+            done=done,
+        )
+
+    return lax.while_loop(lambda s: ~jnp.all(s.done), step, search)
+
+
+def _found_period(history, tolerance, max_period):
+    """Smallest n with a return within the tolerance; 0 where there is none."""
+    errors, returns = _return_errors(history, max_period)
+    orders = jnp.arange(1, max_period + 1).reshape((-1,) + (1,) * (errors.ndim - 1))
+    # The order is that of the return itself: a slow period-1 motion is not called period 2.
+    fits = (returns <= 4 * tolerance) | (errors <= tolerance)
+    first = jnp.min(jnp.where(fits, orders, max_period + 1), axis=0)
+    return jnp.where(first <= max_period, first, 0)
+
+
+def polish(
+    march: AbstractMarch,
+    weight: Float[Array, "states *lanes"],
+    state: Float[Array, "states *lanes"],
+    frequency: Float[Array, "*lanes"],
+    period: Int[Array, "*lanes"],
+) -> tuple[Float[Array, "states *lanes"], Bool[Array, "*lanes"]]:
+    """Take Newton steps to the orbit of each lane's period; say which ended on a stable orbit.
+
+    Lanes of period 0 stay where they are.
+    """
+    n = state.shape[0]
+    lanes = frequency.ndim
+    eye = jnp.eye(n).reshape((n, n) + (1,) * lanes) * jnp.ones_like(state)
+
+    def image(weighted):
+        return march(weighted / weight, frequency, period, False)[0] * weight
+
+    def newton(carry, _):
+        x, _, _ = carry
+        y, push = jax.linearize(image, x)
+        jacobian = jnp.moveaxis(jax.vmap(push)(eye), 0, 1)  # rows, columns, lanes
+        matrix = jnp.moveaxis(jacobian, (0, 1), (-2, -1))
+        residual = jnp.moveaxis(y - x, 0, -1)[..., None]
+        update = jnp.linalg.solve(jnp.eye(n) - matrix, residual)[..., 0]
+        return (x + jnp.moveaxis(update, -1, 0), matrix, _size(y - x, 0)), None
+
+    start = state * weight
+    matrix = jnp.zeros((*frequency.shape, n, n))
+    (end, matrix, residual), _ = lax.scan(
+        newton, (start, matrix, jnp.zeros_like(frequency)), None, length=2
+    )
+    # Spectral radius below 1: high powers of the Jacobian vanish.
+    power = matrix
+    for _ in range(12):
+        power = power @ power
+    stable = jnp.sqrt(jnp.sum(power**2, axis=(-2, -1))) < 1.0
+    size = _size(start, 0)
+    near = _size(end - start, 0) <= 20 * NEAR * size
+    closed = residual <= NEAR * size
+    good = stable & near & closed & (period > 0) & jnp.all(jnp.isfinite(end), axis=0)
+    return jnp.where(good, end, start) / weight, good
+
+
+def settle(
+    march: AbstractMarch,
+    state: Float[Array, "states *lanes"],
+    frequency: Float[Array, "*lanes"],
+    *,
+    tolerance: float,
+    max_period: int,
+    max_periods: int,
+) -> Settled:
+    """Bring every lane to its steady state at its drive angular frequency (rad/s), and measure it.
+
+    `tolerance` is relative to the size of the state in the norm of energy.
+    """
+    lanes = frequency.ndim
+    weight = march.energy_weight()
+    weight = weight.reshape(weight.shape + (1,) * (lanes + 1 - weight.ndim))
+    zero = jnp.zeros(frequency.shape, jnp.int32)
+
+    def restart(state, marched, steps, done):
+        history = jnp.broadcast_to(state * weight, (2 * max_period + 1, *state.shape))
+        far = jnp.full((max_period, *frequency.shape), jnp.inf)
+        return _Search(history, far, zero, marched, steps, done)
+
+    search = restart(state, zero, zero, jnp.zeros(frequency.shape, bool))
+    search = _march_until(march, weight, search, frequency, NEAR, max_period, max_periods)
+    period = _found_period(search.history, NEAR, max_period)
+    period = jnp.where(search.streak >= STEADY, period, 0)
+    polished, good = polish(march, weight, search.history[0] / weight, frequency, period)
+    # What Newton did not settle marches on, to the full tolerance.
+    again = search._replace(streak=zero, done=good | (search.marched >= max_periods))
+    final = _march_until(march, weight, again, frequency, tolerance, max_period, max_periods)
+    late = _found_period(final.history, tolerance, max_period)
+    late = jnp.where(final.streak >= STEADY, late, 0)
+    state = jnp.where(good, polished, final.history[0] / weight)
+    period = jnp.where(good, period, late)
+    lost = ~jnp.all(jnp.isfinite(state), axis=0)
+    # A lane that is lost starts again from rest at the next frequency.
+    state = jnp.where(lost, 0.0, state)
+    window = jnp.where(lost, 0, jnp.where(period > 0, period, APERIODIC_PERIODS))
+    end, steps, measures = march(state, frequency, window.astype(jnp.int32), True)
+    status = jnp.where(
+        lost,
+        Status.diverged.value,
+        jnp.where(period > 0, Status.settled.value, Status.aperiodic.value),
+    )
+    # Periodic lanes go on from the orbit itself, the others from where the measuring ended.
+    state = jnp.where((period == 0) & jnp.all(jnp.isfinite(end), axis=0), end, state)
+    return Settled(
+        state=state,
+        period=period.astype(jnp.int32),
+        status=status.astype(jnp.int32),
+        periods_marched=final.marched,
+        steps=final.steps + steps,
+        measures=measures,
+    )

@@ -1,0 +1,26 @@
+"""How a lane ended, as a number in the result and a sentence for the reader."""
+
+import enum
+
+
+class Status(enum.Enum):
+    """What became of a lane at a frequency."""
+
+    settled = 0
+    aperiodic = 1
+    diverged = 2
+
+    @property
+    def sentence(self) -> str:
+        """The status in words."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Status.settled: "The motion is periodic and stable.",
+    Status.aperiodic: (
+        "No period up to the largest one looked for within the periods allowed: chaotic, "
+        "quasi-periodic, of higher period, or still in a transient."
+    ),
+    Status.diverged: "The state stopped being finite, or contacts came too fast to be resolved.",
+}
