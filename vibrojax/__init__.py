@@ -1,3 +1,30 @@
-"""vibrojax: differentiable, vectorised frequency sweeps of beams that hit stops."""
+"""vibrojax: differentiable, vectorised frequency sweeps of beams that hit stops.
+
+Importing vibrojax switches JAX to float64, unless the environment variable JAX_ENABLE_X64 is set.
+"""
 
 from vibrojax import _precision as _precision
+from vibrojax.beam import Cantilever as Cantilever
+from vibrojax.contact import AbstractContactLaw as AbstractContactLaw
+from vibrojax.contact import KelvinVoigt as KelvinVoigt
+from vibrojax.contact import Stop as Stop
+from vibrojax.drive import AbstractDrive as AbstractDrive
+from vibrojax.drive import AbstractWaveform as AbstractWaveform
+from vibrojax.drive import BaseMotion as BaseMotion
+from vibrojax.drive import Chirp as Chirp
+from vibrojax.drive import Harmonic as Harmonic
+from vibrojax.drive import NoDrive as NoDrive
+from vibrojax.drive import PointForce as PointForce
+from vibrojax.modes import Modes as Modes
+from vibrojax.modes import modes as modes
+from vibrojax.results.frequency_response import FrequencyResponse as FrequencyResponse
+from vibrojax.results.status import Status as Status
+from vibrojax.stepping.method import AbstractMethod as AbstractMethod
+from vibrojax.stepping.method import ExactContact as ExactContact
+from vibrojax.studies.frequency_sweep import frequency_sweep as frequency_sweep
+from vibrojax.systems.base import AbstractEquations as AbstractEquations
+from vibrojax.systems.base import AbstractSystem as AbstractSystem
+from vibrojax.systems.base import LinearEquations as LinearEquations
+from vibrojax.systems.impacting_beam import ImpactingBeam as ImpactingBeam
+
+__version__ = "0.1.0"

@@ -8,7 +8,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._checks import as_number, check_choice, check_not_negative, check_range
+from vibrojax._checks import (
+    as_number,
+    check_choice,
+    check_not_negative,
+    check_range,
+    concrete,
+)
 
 DEFAULT_SMOOTHING = 1e-3
 """Width of the rounded corner of the contact force when a `Stop` gives none, in gaps."""
@@ -157,9 +163,8 @@ class Stop(eqx.Module):
     @property
     def is_linear(self) -> bool:
         """Whether the stop is exactly linear in contact and free of force out of it."""
-        exact = self.smoothing is None or (
-            isinstance(self.smoothing, float) and self.smoothing == 0.0
-        )
+        width = concrete(self.smoothing)
+        exact = self.smoothing is None or (width is not None and bool((width == 0).all()))
         return exact and self.law.linear_coefficients() is not None
 
     def force(

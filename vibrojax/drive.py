@@ -99,12 +99,10 @@ class AbstractDrive(eqx.Module):
 
     @property
     @abstractmethod
-    def reference(self) -> ArrayLike:
-        """Length by which responses are made dimensionless, m (1 where the drive has none)."""
+    def reference(self) -> tuple[ArrayLike, str]:
+        """Amplitude by which responses are divided, and the unit of a displacement over it."""
 
-    def input(
-        self, waveform: AbstractWaveform, time: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def input(self, waveform: AbstractWaveform, time: Float[Array, "..."]) -> Float[Array, "..."]:
         """Return the input at `time` (s): base acceleration with its sign changed, or force."""
         phase, rate, second = waveform.phase(time)
         amplitude = self.complex_amplitude(rate, second)
@@ -131,9 +129,9 @@ class BaseMotion(AbstractDrive):
         return self.amplitude * (rate**2 - 1j * second)
 
     @property
-    def reference(self) -> ArrayLike:
-        """Amplitude of the base, m."""
-        return self.amplitude
+    def reference(self) -> tuple[ArrayLike, str]:
+        """Amplitude of the base: ratios are dimensionless."""
+        return self.amplitude, "1"
 
 
 class PointForce(AbstractDrive):
@@ -167,9 +165,9 @@ class PointForce(AbstractDrive):
         return (self.amplitude + 0j) * jnp.ones_like(rate)
 
     @property
-    def reference(self) -> ArrayLike:
-        """1 m: ratios of a force-driven beam are displacements in metres."""
-        return 1.0
+    def reference(self) -> tuple[ArrayLike, str]:
+        """Amplitude of the force: ratios are receptances, m/N."""
+        return self.amplitude, "m/N"
 
 
 class NoDrive(AbstractDrive):
@@ -182,6 +180,6 @@ class NoDrive(AbstractDrive):
         return jnp.zeros_like(rate) + 0j
 
     @property
-    def reference(self) -> ArrayLike:
-        """1 m: ratios of a free beam are displacements in metres."""
-        return 1.0
+    def reference(self) -> tuple[ArrayLike, str]:
+        """1: a free system has displacements only, m."""
+        return 1.0, "m"

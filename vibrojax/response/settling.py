@@ -19,8 +19,11 @@ from vibrojax.stepping.method import AbstractMarch
 
 lax = jax.lax
 
-NEAR = 2e-3
+NEAR = 1e-3
 """Relative distance from the limit at which Newton's method is tried."""
+NEWTON_STEPS = 3
+CLOSED = 1e-5
+"""Relative return before the last Newton step that shows the steps converge: they square it."""
 STEADY = 3
 """Periods in a row that have to look settled."""
 APERIODIC_PERIODS = 24
@@ -45,7 +48,6 @@ class _Search(NamedTuple):
     marched: Int[Array, "*lanes"]
     steps: Int[Array, "*lanes"]
     done: Bool[Array, "*lanes"]
-
 
 
 def _size(weighted: Float[Array, "..."], axis: int) -> Array:
@@ -108,7 +110,7 @@ def _found_period(history, tolerance, max_period):
     # The order is that of the return itself: a slow period-1 motion is not called period 2.
     fits = (returns <= 4 * tolerance) | (errors <= tolerance)
     first = jnp.min(jnp.where(fits, orders, max_period + 1), axis=0)
-    return jnp.where(first <= max_period, first, 0)
+    return jnp.where(first <= max_period, first, 0).astype(jnp.int32)
 
 
 def polish(
@@ -141,7 +143,7 @@ def polish(
     start = state * weight
     matrix = jnp.zeros((*frequency.shape, n, n))
     (end, matrix, residual), _ = lax.scan(
-        newton, (start, matrix, jnp.zeros_like(frequency)), None, length=2
+        newton, (start, matrix, jnp.zeros_like(frequency)), None, length=NEWTON_STEPS
     )
     # Spectral radius below 1: high powers of the Jacobian vanish.
     power = matrix
@@ -149,8 +151,8 @@ def polish(
         power = power @ power
     stable = jnp.sqrt(jnp.sum(power**2, axis=(-2, -1))) < 1.0
     size = _size(start, 0)
-    near = _size(end - start, 0) <= 20 * NEAR * size
-    closed = residual <= NEAR * size
+    near = _size(end - start, 0) <= 5 * NEAR * size
+    closed = residual <= CLOSED * size
     good = stable & near & closed & (period > 0) & jnp.all(jnp.isfinite(end), axis=0)
     return jnp.where(good, end, start) / weight, good
 
@@ -182,14 +184,26 @@ def settle(
     search = _march_until(march, weight, search, frequency, NEAR, max_period, max_periods)
     period = _found_period(search.history, NEAR, max_period)
     period = jnp.where(search.streak >= STEADY, period, 0)
-    polished, good = polish(march, weight, search.history[0] / weight, frequency, period)
+    found = search.history[0] / weight
+    candidates = jnp.stack([jnp.minimum(period, 1), period])
+
+    def try_period(carry, candidate):
+        # Period 1 first: a slowly turning period-1 motion returns best after several periods.
+        state, good, orbit = carry
+        wanted = jnp.where(good | (candidate == orbit), 0, candidate)
+        polished, fits = polish(march, weight, found, frequency, wanted)
+        state = jnp.where(fits, polished, state)
+        return (state, good | fits, jnp.where(fits, candidate, orbit)), None
+
+    start = (found, jnp.zeros(frequency.shape, bool), zero)
+    (polished, good, orbit), _ = lax.scan(try_period, start, candidates)
     # What Newton did not settle marches on, to the full tolerance.
     again = search._replace(streak=zero, done=good | (search.marched >= max_periods))
     final = _march_until(march, weight, again, frequency, tolerance, max_period, max_periods)
     late = _found_period(final.history, tolerance, max_period)
     late = jnp.where(final.streak >= STEADY, late, 0)
     state = jnp.where(good, polished, final.history[0] / weight)
-    period = jnp.where(good, period, late)
+    period = jnp.where(good, orbit, late)
     lost = ~jnp.all(jnp.isfinite(state), axis=0)
     # A lane that is lost starts again from rest at the next frequency.
     state = jnp.where(lost, 0.0, state)

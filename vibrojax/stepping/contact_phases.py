@@ -87,10 +87,10 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     Raises `ValueError` when a stop is not linear in contact or there are more than `MAX_STOPS`.
     """
     stops = equations.stops
-    if not equations.has_linear_stops:
+    if any(stop.law.linear_coefficients() is None for stop in stops):
         raise ValueError(
-            "ExactContact needs stops that are linear in contact with an unrounded corner "
-            "(KelvinVoigt, smoothing=None). Use ExponentialSplitting for other stops."
+            "ExactContact needs contact laws that are linear (KelvinVoigt). "
+            "Use ExponentialSplitting for other laws."
         )
     if len(stops) > MAX_STOPS:
         raise ValueError(

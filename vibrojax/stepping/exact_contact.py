@@ -224,9 +224,7 @@ class _Loop:
         safe = jnp.where(unit > 0, unit, 1.0)
         acceleration = reading[2 * k : 3 * k]
         push = jnp.where(unit > 0, (stiffness * depth + damping * speed) / safe, depth)
-        push_rate = jnp.where(
-            unit > 0, (stiffness * speed + damping * acceleration) / safe, speed
-        )
+        push_rate = jnp.where(unit > 0, (stiffness * speed + damping * acceleration) / safe, speed)
         pulls = self.column(self.phases.can_pull)
         by_depth = pulls | (depth <= push)
         return jnp.where(by_depth, depth, push), jnp.where(by_depth, speed, push_rate)

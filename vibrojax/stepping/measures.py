@@ -77,6 +77,4 @@ def no_measures(like: Float[Array, "*lanes"]) -> Measures:
     """Measures before the first step."""
     zero = jnp.zeros_like(like)
     far = jnp.full_like(like, jnp.inf)
-    return Measures(
-        zero, -far, far, zero, zero, zero, zero, zero, jnp.zeros(like.shape, jnp.int32)
-    )
+    return Measures(zero, -far, far, zero, zero, zero, zero, zero, jnp.zeros(like.shape, jnp.int32))

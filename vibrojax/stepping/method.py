@@ -13,8 +13,13 @@ from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 from vibrojax.stepping.measures import Measures
 from vibrojax.systems.base import AbstractEquations, LinearEquations
 
-MEASURING = 6
-"""How many times finer than the march the periods are stepped in which extremes are read."""
+
+def measuring(tolerance: Float[Array, ""]) -> Float[Array, ""]:
+    """How many times finer than the march the periods are stepped in which extremes are read.
+
+    Extremes are those of cubics between steps: their error falls with the fourth power of it.
+    """
+    return 6.0 * jnp.maximum(1e-4 / tolerance, 1.0) ** 0.25
 
 
 class AbstractMarch(eqx.Module):
@@ -44,7 +49,10 @@ class AbstractMethod(eqx.Module):
 
     @abstractmethod
     def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> AbstractMarch:
-        """Compute what does not depend on the drive frequency."""
+        """Compute what does not depend on the drive frequency, for one lane.
+
+        Map it with `jax.vmap(..., out_axes=-1)` for lanes of different systems.
+        """
 
 
 class ExactMarch(AbstractMarch):
@@ -52,7 +60,7 @@ class ExactMarch(AbstractMarch):
 
     phases: ContactPhases
     drive: AbstractDrive
-    tolerance: float = eqx.field(static=True)
+    tolerance: Float[Array, ""]
     steps_per_period: int | None = eqx.field(static=True)
 
     def __call__(
@@ -72,7 +80,7 @@ class ExactMarch(AbstractMarch):
             self.drive.complex_amplitude(angular_frequency, zero),
             angular_frequency,
             zero,
-            step / MEASURING if observe else step,
+            step / measuring(self.tolerance) if observe else step,
             self.tolerance / 2,
         )
         return exact_contact.march(self.phases, force, state, periods, observe=observe)
@@ -90,7 +98,7 @@ class ExactContact(AbstractMethod):
     `ValueError` for a tolerance outside (0, 0.1] or fewer than 4 steps per period.
     """
 
-    tolerance: float = eqx.field(static=True, default=1e-4)
+    tolerance: float = eqx.field(default=1e-4)
     """Error to expect relative to the response; chooses steps and how sharply to land."""
     steps_per_period: int | None = eqx.field(static=True, default=None)
     """Steps per drive period, instead of those chosen from the contact and the tolerance."""
@@ -104,7 +112,7 @@ class ExactContact(AbstractMethod):
         if not isinstance(equations, LinearEquations):
             raise ValueError("ExactContact needs a system that is linear but for its stops.")
         phases = contact_phases(equations)
-        return ExactMarch(phases, drive, self.tolerance, self.steps_per_period)
+        return ExactMarch(phases, drive, jnp.asarray(self.tolerance), self.steps_per_period)
 
 
 def check_settings(tolerance: float, steps_per_period: int | None) -> None:

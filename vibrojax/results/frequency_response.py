@@ -1,0 +1,177 @@
+"""The result of a frequency sweep: curves in both directions, their jumps, and where they go."""
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from vibrojax.results.status import Status
+from vibrojax.results.variables import VARIABLES
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+Array = np.ndarray
+CURVES = (
+    "amplitude_ratio",
+    "peak_ratio",
+    "rms_ratio",
+    "first_harmonic_ratio",
+    "contact_force",
+    "contact_fraction",
+    "contacts_per_period",
+    "period",
+    "status",
+    "periods_marched",
+    "steps",
+)
+
+
+class FrequencyResponse(eqx.Module):
+    """Steady responses on a frequency axis, with the state carried along each direction.
+
+    Curves have the shape (axes of the call..., directions, frequencies), frequencies ascending in
+    both directions. Frequencies are in the unit that was asked for (`axis`). Ratios are over the
+    drive amplitude; displacements are of the tip, relative to the base.
+    """
+
+    axis: str = eqx.field(static=True)
+    """`frequency_ratio`, or `frequency` in Hz."""
+    frequencies: Float[Array, " frequencies"]
+    directions: tuple[str, ...] = eqx.field(static=True)
+    axes: dict[str, Array]
+    """The other axes of the call, by name."""
+    ratio_units: str = eqx.field(static=True)
+    """Unit of the ratios: `1` for base motion, `m/N` for a force."""
+    amplitude_ratio: Float[Array, "..."]
+    peak_ratio: Float[Array, "..."]
+    rms_ratio: Float[Array, "..."]
+    first_harmonic_ratio: Float[Array, "..."]
+    contact_force: Float[Array, "..."]
+    contact_fraction: Float[Array, "..."]
+    contacts_per_period: Float[Array, "..."]
+    period: Int[Array, "..."]
+    status: Int[Array, "..."]
+    periods_marched: Int[Array, "..."]
+    steps: Int[Array, "..."]
+    natural_frequency: Float[Array, "..."]
+    """First natural frequency of the unstopped system, Hz, over the axes of the call."""
+    jump_up: Float[Array, "..."]
+    """Where the response jumps up, over the axes of the call; NaN where it does not."""
+    jump_down: Float[Array, "..."]
+    """Where the response jumps down; NaN where it does not."""
+    jump_up_bracket: Float[Array, "... 2"]
+    """The interval in which the jump up lies, low end first."""
+    jump_down_bracket: Float[Array, "... 2"]
+    """The interval in which the jump down lies, low end first."""
+    attributes: dict[str, str] = eqx.field(static=True)
+    """What was run: rig, settings, versions."""
+
+    @property
+    def peak_amplitude_ratio(self) -> Float[Array, "..."]:
+        """Largest amplitude ratio of the curves, over the axes of the call."""
+        return np.nanmax(self.amplitude_ratio, axis=(-2, -1))
+
+    @property
+    def peak_frequency(self) -> Float[Array, "..."]:
+        """Frequency of the largest amplitude ratio, in the unit of the axis."""
+        highest = np.nanmax(self.amplitude_ratio, axis=-2)
+        return np.asarray(self.frequencies)[np.nanargmax(highest, axis=-1)]
+
+    @property
+    def resonance_shift(self) -> Float[Array, "..."]:
+        """How far the peak lies above the first natural frequency of the unstopped system.
+
+        As a fraction of that frequency.
+        """
+        unit = 1.0 if self.axis == "frequency_ratio" else self.natural_frequency
+        return self.peak_frequency / unit - 1.0
+
+    @property
+    def hysteresis_width(self) -> Float[Array, "..."]:
+        """Distance between the jumps, in the unit of the axis; 0 where nothing jumps."""
+        return np.nan_to_num(np.abs(self.jump_down - self.jump_up))
+
+    @property
+    def hysteresis_area(self) -> Float[Array, "..."]:
+        """Area between the two curves: amplitude ratio times the unit of the axis.
+
+        Raises `ValueError` when only one direction was swept.
+        """
+        if self.directions != ("forward", "backward"):
+            raise ValueError("hysteresis_area needs a sweep in both directions.")
+        forward, backward = self.amplitude_ratio[..., 0, :], self.amplitude_ratio[..., 1, :]
+        return np.trapezoid(np.abs(forward - backward), np.asarray(self.frequencies), axis=-1)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return a dataset with named dimensions, units, long names and the rig in its attributes.
+
+        Dimensions are the axes of the call, `direction`, and `frequency_ratio` or `frequency`.
+        """
+        import xarray
+
+        outer = tuple(self.axes)
+        dims = (*outer, "direction", self.axis)
+        axis_units = VARIABLES[self.axis].units
+        units = {"ratio": self.ratio_units, "axis": axis_units}
+
+        def described(name: str) -> dict[str, Any]:
+            unit, long_name = VARIABLES[name]
+            return {"units": units.get(unit, unit), "long_name": long_name}
+
+        data = {name: (dims, np.asarray(getattr(self, name)), described(name)) for name in CURVES}
+        data["status"][2]["flag_values"] = [s.value for s in Status]
+        data["status"][2]["flag_meanings"] = " ".join(s.name for s in Status)
+        for name in ("jump_up", "jump_down", "natural_frequency"):
+            data[name] = (outer, np.asarray(getattr(self, name)), described(name))
+        for name in ("peak_amplitude_ratio", "peak_frequency", "resonance_shift"):
+            units_of = {"peak_amplitude_ratio": self.ratio_units, "peak_frequency": axis_units}
+            label = name.replace("_", " ").capitalize()
+            described_as = {"units": units_of.get(name, "1"), "long_name": label}
+            data[name] = (outer, np.asarray(getattr(self, name)), described_as)
+        coordinates: dict[str, Any] = {name: (name, values) for name, values in self.axes.items()}
+        coordinates["direction"] = ("direction", list(self.directions))
+        frequencies = np.asarray(self.frequencies)
+        coordinates[self.axis] = (self.axis, frequencies, described(self.axis))
+        return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the dataset to a NetCDF file, whole or not at all."""
+        target = os.fspath(path)
+        part = f"{target}.part"
+        try:
+            self.to_xarray().to_netcdf(part, engine="h5netcdf")
+            os.replace(part, target)
+        finally:
+            if os.path.exists(part):
+                os.remove(part)
+
+    def plot(self, variable: str = "amplitude_ratio", **selection: Any) -> "Figure":
+        """Draw one variable against frequency, both directions, jumps marked.
+
+        `selection` picks one value (nearest) of each other axis, which is drawn as lines where it
+        is left out. Raises `ValueError` for an unknown variable or axis.
+        """
+        from vibrojax.results.plotting import plot_frequency_response
+
+        return plot_frequency_response(self, variable, **selection)
+
+    def __repr__(self) -> str:
+        shape = ", ".join(f"{name}: {len(v)}" for name, v in self.axes.items())
+        lines = [
+            f"FrequencyResponse({shape + ', ' if shape else ''}"
+            f"direction: {len(self.directions)}, {self.axis}: {len(self.frequencies)})"
+        ]
+        if not self.axes:
+            lines += [
+                f"  peak amplitude ratio  {self.peak_amplitude_ratio:.4f} at {self.axis} "
+                f"{self.peak_frequency:.5f}",
+                f"  jump up, jump down    {self.jump_up:.5f}, {self.jump_down:.5f}",
+                f"  hysteresis width      {self.hysteresis_width:.5f}",
+            ]
+        count = np.bincount(np.asarray(self.status).ravel(), minlength=len(Status))
+        tally = ", ".join(f"{count[s.value]} {s.name}" for s in Status if count[s.value])
+        return "\n".join([*lines, f"  points                {tally}"])

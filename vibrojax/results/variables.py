@@ -1,0 +1,30 @@
+"""Every output variable once: its unit and its long name."""
+
+from typing import NamedTuple
+
+
+class Variable(NamedTuple):
+    """Unit and long name of an output; a unit of `ratio` is that of a displacement per drive."""
+
+    units: str
+    long_name: str
+
+
+VARIABLES = {
+    "amplitude_ratio": Variable("ratio", "Half peak-to-peak displacement of the tip over drive"),
+    "peak_ratio": Variable("ratio", "Largest displacement of the tip, either side, over drive"),
+    "rms_ratio": Variable("ratio", "RMS displacement of the tip over drive amplitude"),
+    "first_harmonic_ratio": Variable("ratio", "First harmonic amplitude of the tip over drive"),
+    "contact_force": Variable("N", "Largest contact force"),
+    "contact_fraction": Variable("1", "Share of the time in contact"),
+    "contacts_per_period": Variable("1", "Contacts per drive period"),
+    "period": Variable("1", "Period of the motion in drive periods (0: none found)"),
+    "status": Variable("1", "How the lane ended"),
+    "periods_marched": Variable("1", "Drive periods marched to settle"),
+    "steps": Variable("1", "Steps taken to settle and measure"),
+    "jump_up": Variable("axis", "Frequency at which the response jumps up"),
+    "jump_down": Variable("axis", "Frequency at which the response jumps down"),
+    "natural_frequency": Variable("Hz", "First natural frequency of the unstopped beam"),
+    "frequency": Variable("Hz", "Drive frequency"),
+    "frequency_ratio": Variable("1", "Drive frequency over first natural frequency"),
+}

@@ -1,0 +1,94 @@
+"""From a function of named numbers to the lanes of a study."""
+
+import difflib
+import inspect
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vibrojax.systems.base import AbstractSystem
+
+
+class Lanes(eqx.Module):
+    """The systems of a study, stacked along a leading axis when there are axes."""
+
+    systems: AbstractSystem
+    sample: AbstractSystem
+    """The first system, with the numbers as they were given."""
+    axes: dict[str, np.ndarray]
+    description: str
+
+    @property
+    def batched(self) -> bool:
+        """Whether there are axes."""
+        return bool(self.axes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of the axes."""
+        return tuple(len(values) for values in self.axes.values())
+
+
+def nearest(name: str, known: list[str]) -> str:
+    """Advice for an unknown name: the nearest known one, and all of them."""
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = f"Did you mean {close[0]!r}? " if close else ""
+    return f"{hint}Known: {', '.join(known)}."
+
+
+def as_arrays(system: AbstractSystem) -> AbstractSystem:
+    """Turn every number of a system into an array, so that new numbers do not recompile."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), system)
+
+
+def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[str, Any]) -> Lanes:
+    """Build one system, or one for every combination of the axes.
+
+    Every system is built from concrete numbers, so wrong ones are refused before anything
+    compiles. Raises `ValueError` for unknown names, empty axes, or systems of different structure.
+    """
+    if isinstance(system, AbstractSystem):
+        if axes:
+            raise ValueError(
+                f"Unknown argument {next(iter(axes))!r}. To sweep a number of the rig, pass a "
+                "function that makes the rig from named numbers, in place of the rig itself."
+            )
+        return Lanes(as_arrays(system), system, {}, repr(system))
+    if not callable(system):
+        raise ValueError(f"system must be a system or a function that makes one, got {system!r}.")
+    parameters = inspect.signature(system).parameters.values()
+    known = [p.name for p in parameters]
+    if not any(p.kind is p.VAR_KEYWORD for p in parameters):
+        for name in axes:
+            if name not in known:
+                raise ValueError(f"Unknown argument {name!r}. {nearest(name, known)}")
+    fixed = {k: v for k, v in axes.items() if np.ndim(v) == 0}
+    swept = {k: np.asarray(v, dtype=float) for k, v in axes.items() if np.ndim(v) > 0}
+    for name, values in swept.items():
+        if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
+            raise ValueError(
+                f"{name} must be a non-empty list of finite numbers, got {axes[name]!r}."
+            )
+    combinations = itertools.product(*swept.values())
+    made = [
+        system(**fixed, **dict(zip(swept, map(float, values), strict=True)))
+        for values in combinations
+    ]
+    for one in made:
+        if not isinstance(one, AbstractSystem):
+            raise ValueError(f"{system!r} must return a system, got {one!r}.")
+    if not swept:
+        return Lanes(as_arrays(made[0]), made[0], {}, repr(made[0]))
+    arrays = [as_arrays(one) for one in made]
+    if any(jax.tree.structure(a) != jax.tree.structure(arrays[0]) for a in arrays):
+        raise ValueError(
+            "All systems of a study must have the same structure (stops, laws, num_modes): only "
+            "numbers can be axes."
+        )
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *arrays)
+    return Lanes(stacked, made[0], swept, repr(made[0]))
