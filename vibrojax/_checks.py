@@ -81,7 +81,7 @@ def check_count(name: str, value: Any, least: int = 1) -> None:
         _refuse(name, value, f"a whole number of at least {least}", "")
 
 
-def check_choice(name: str, value: Any, choices: tuple[str, ...]) -> None:
+def check_choice(name: str, value: Any, choices: tuple[Any, ...]) -> None:
     """Raise `ValueError` unless the value is one of the named choices."""
     if value not in choices:
         listed = ", ".join(repr(c) for c in choices)

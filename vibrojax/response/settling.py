@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax.results.status import Status
 from vibrojax.stepping.measures import Measures
@@ -115,7 +115,7 @@ def _found_period(history, tolerance, max_period):
 
 def polish(
     march: AbstractMarch,
-    weight: Float[Array, "states *lanes"],
+    weight: Float[Array, "states *#lanes"],
     state: Float[Array, "states *lanes"],
     frequency: Float[Array, "*lanes"],
     period: Int[Array, "*lanes"],
@@ -162,9 +162,9 @@ def settle(
     state: Float[Array, "states *lanes"],
     frequency: Float[Array, "*lanes"],
     *,
-    tolerance: float,
+    tolerance: Float[ArrayLike, ""],
     max_period: int,
-    max_periods: int,
+    max_periods: Int[ArrayLike, ""],
 ) -> Settled:
     """Bring every lane to its steady state at its drive angular frequency (rad/s), and measure it.
 

@@ -57,11 +57,11 @@ class FrequencyResponse(eqx.Module):
     status: Int[Array, "..."]
     periods_marched: Int[Array, "..."]
     steps: Int[Array, "..."]
-    natural_frequency: Float[Array, "..."]
+    natural_frequency: float | Float[Array, "..."]
     """First natural frequency of the unstopped system, Hz, over the axes of the call."""
-    jump_up: Float[Array, "..."]
+    jump_up: float | Float[Array, "..."]
     """Where the response jumps up, over the axes of the call; NaN where it does not."""
-    jump_down: Float[Array, "..."]
+    jump_down: float | Float[Array, "..."]
     """Where the response jumps down; NaN where it does not."""
     jump_up_bracket: Float[Array, "... 2"]
     """The interval in which the jump up lies, low end first."""
@@ -71,18 +71,18 @@ class FrequencyResponse(eqx.Module):
     """What was run: rig, settings, versions."""
 
     @property
-    def peak_amplitude_ratio(self) -> Float[Array, "..."]:
+    def peak_amplitude_ratio(self) -> float | Float[Array, "..."]:
         """Largest amplitude ratio of the curves, over the axes of the call."""
         return np.nanmax(self.amplitude_ratio, axis=(-2, -1))
 
     @property
-    def peak_frequency(self) -> Float[Array, "..."]:
+    def peak_frequency(self) -> float | Float[Array, "..."]:
         """Frequency of the largest amplitude ratio, in the unit of the axis."""
         highest = np.nanmax(self.amplitude_ratio, axis=-2)
         return np.asarray(self.frequencies)[np.nanargmax(highest, axis=-1)]
 
     @property
-    def resonance_shift(self) -> Float[Array, "..."]:
+    def resonance_shift(self) -> float | Float[Array, "..."]:
         """How far the peak lies above the first natural frequency of the unstopped system.
 
         As a fraction of that frequency.
@@ -91,12 +91,12 @@ class FrequencyResponse(eqx.Module):
         return self.peak_frequency / unit - 1.0
 
     @property
-    def hysteresis_width(self) -> Float[Array, "..."]:
+    def hysteresis_width(self) -> float | Float[Array, "..."]:
         """Distance between the jumps, in the unit of the axis; 0 where nothing jumps."""
         return np.nan_to_num(np.abs(self.jump_down - self.jump_up))
 
     @property
-    def hysteresis_area(self) -> Float[Array, "..."]:
+    def hysteresis_area(self) -> float | Float[Array, "..."]:
         """Area between the two curves: amplitude ratio times the unit of the axis.
 
         Raises `ValueError` when only one direction was swept.

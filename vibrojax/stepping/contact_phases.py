@@ -61,8 +61,17 @@ class ContactPhases(eqx.Module):
     """Block coordinates of the position of rest."""
     input: Float[Array, "phases states *lanes"]
     """Rate of the block coordinates under a unit input."""
-    readout: Float[Array, "rows states *lanes"]
-    """Rows that read a state: depth of each stop, its rate, response, its rate."""
+    readout: Float[Array, "phases rows states *lanes"]
+    """Rows that read block coordinates: depth of each stop, its rate, its acceleration, then the
+    response and its rate."""
+    readout_rest: Float[Array, "phases rows *lanes"]
+    """What they read at rest, the gap taken off the depth."""
+    change: Float[Array, "phases stops states states *lanes"]
+    """Block coordinates after one stop has changed its contact, from those before."""
+    change_rest: Float[Array, "phases stops states *lanes"]
+    """What is to be added to them because the position of rest changes."""
+    towards_stop: Float[Array, "stops blocks *lanes"]
+    """Displacement towards each stop, by coordinate q."""
     gap: Float[Array, "stops *lanes"]
     stiffness: Float[Array, "stops *lanes"]
     damping: Float[Array, "stops *lanes"]
@@ -145,16 +154,29 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     exponent, rate, oscillates, to_state, from_state, rest, drive = (
         jnp.stack(column) for column in zip(*tables, strict=True)
     )
-    rows = jnp.concatenate([places, equations.response_map[None]])
-    zero = jnp.zeros_like(rows)
-    readout = jnp.concatenate(
-        [
-            jnp.concatenate([rows[:-1], zero[:-1]], axis=1),
-            jnp.concatenate([zero[:-1], rows[:-1]], axis=1),
-            jnp.concatenate([rows[-1:], zero[-1:]], axis=1),
-            jnp.concatenate([zero[-1:], rows[-1:]], axis=1),
-        ]
-    )
+    zero = jnp.zeros_like(places)
+    tip, none = equations.response_map[None], jnp.zeros((1, n), dtype)
+    plain = jnp.block([[places, zero], [zero, places], [tip, none], [none, tip]])
+    count = len(stops)
+
+    def read(p):
+        rows = plain @ to_state[p]
+        left, right = rows[count : 2 * count, :n], rows[count : 2 * count, n:]
+        decay, turn = exponent[p], rate[p]
+        # Accelerations of the contact points: d/dt of (z1, z2) is (a1 z1 - b z2, b z1 + a2 z2).
+        along, across = left * decay[0] + right * turn, right * decay[1] - left * turn
+        acceleration = jnp.concatenate([along, across], axis=1)
+        return jnp.concatenate([rows[: 2 * count], acceleration, rows[2 * count :]])
+
+    readout = jnp.stack([read(p) for p in range(len(sets))])
+    offset = jnp.concatenate([gap, jnp.zeros(2 * count + 2)])
+    change = jnp.zeros((len(sets), count, 2 * n, 2 * n))
+    change_rest = jnp.zeros((len(sets), count, 2 * n))
+    for p, s in np.ndindex(len(sets), count):
+        other = p ^ (1 << s)
+        matrix = from_state[other] @ to_state[p]
+        change = change.at[p, s].set(matrix)
+        change_rest = change_rest.at[p, s].set(matrix @ rest[p] - rest[other])
     root_mass = jnp.sqrt(equations.modal_mass)
     return ContactPhases(
         exponent=exponent,
@@ -165,6 +187,10 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         rest=rest,
         input=drive,
         readout=readout,
+        readout_rest=jnp.einsum("prs,ps->pr", readout, rest) - offset,
+        change=change,
+        change_rest=change_rest,
+        towards_stop=places,
         gap=gap,
         stiffness=stiffness,
         damping=damping,

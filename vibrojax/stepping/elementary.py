@@ -66,8 +66,8 @@ def cubic_maximum(
 
 
 def apply_matrix(
-    matrix: Float[Array, "rows columns *lanes"], vector: Float[Array, "columns *lanes"]
-) -> Float[Array, "rows *lanes"]:
+    matrix: Float[Array, "rows columns *#lanes"], vector: Float[Array, "columns *#lanes"]
+) -> Float[Array, "rows *#lanes"]:
     """Matrix times vector, the matrix shared by all lanes or one for each."""
     if matrix.ndim == 2:
         return jnp.tensordot(matrix, vector, axes=1)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
 
 from vibrojax.stepping.contact_phases import (
     ContactPhases,
@@ -35,19 +35,13 @@ RETRIES = 40
 
 
 class Forcing(NamedTuple):
-    """Tables of one drive frequency: everything the loop reads, split into sine and cosine."""
+    """Tables of one drive frequency, split into sine and cosine, and the settings of the march."""
 
     angular_frequency: Float[Array, "*lanes"]
     start_phase: Float[Array, "*lanes"]
     blocks: Complex[Array, "phases states *lanes"]
-    readout: Float[Array, "phases row states *lanes"]
-    readout_sine: Float[Array, "phases row *lanes"]
-    readout_cosine: Float[Array, "phases row *lanes"]
-    readout_rest: Float[Array, "phases row *lanes"]
-    change: Float[Array, "rows states *lanes"]  # phases and stops stacked
-    change_sine: Float[Array, "phases stops states *lanes"]
-    change_cosine: Float[Array, "phases stops states *lanes"]
-    change_rest: Float[Array, "phases stops states *lanes"]
+    readout: Complex[Array, "phases rows *lanes"]
+    change: Complex[Array, "phases stops states *lanes"]
     longest_step: Float[Array, "*lanes"]
     depth_tolerance: Float[Array, "*lanes"]
 
@@ -71,89 +65,34 @@ def forcing(
     angular_frequency: Float[Array, "*lanes"],
     start_phase: Float[Array, "*lanes"],
     longest_step: Float[Array, "*lanes"],
-    event_tolerance: float,
+    event_tolerance: Float[ArrayLike, ""],
 ) -> Forcing:
     """Tabulate what a harmonic input Im(amplitude exp(i phase)) does in every phase."""
-    lanes = angular_frequency.ndim
-    stops, n = phases.num_stops, 2 * phases.num_blocks
-    count = 2**stops
+    stops, count = phases.num_stops, 2**phases.num_stops
     steady = forced_blocks(phases, amplitude, angular_frequency)
 
-    readouts = [_block_readout(phases, p) for p in range(count)]
-    steady_read = [_steady_readout(phases, p, steady[p], angular_frequency) for p in range(count)]
-    gap = spread(_gap_column(phases), 1, lanes)
-    rest_read = jnp.stack(
-        [spread(apply_matrix(readouts[p], phases.rest[p]), 1, lanes) - gap for p in range(count)]
-    )
-    changes, jumps, rests = [], [], []
-    for p in range(count):
-        for s in range(stops):
-            q = p ^ (1 << s)
-            matrix = _product(phases.from_state[q], phases.to_state[p])
-            changes.append(matrix)
-            jumps.append(_complex_apply(matrix, steady[p]) - steady[q])
-            moved = apply_matrix(matrix, phases.rest[p]) - phases.rest[q]
-            rests.append(spread(moved, 1, lanes))
+    def complex_apply(matrix, vector):
+        return apply_matrix(matrix, vector.real) + 1j * apply_matrix(matrix, vector.imag)
 
-    def table(rows, empty):
-        if not rows:
-            return jnp.zeros((count, 0, n, *empty))
-        return jnp.stack(rows).reshape(count, stops, n, *rows[0].shape[1:])
-
-    jump = table(jumps, angular_frequency.shape)
-    scale = spread(phases.gap, 1, lanes) + jnp.abs(steady_read[0][:stops])
-    depth_scale = jnp.max(scale, axis=0, initial=0.0)
+    read = jnp.stack([complex_apply(phases.readout[p], steady[p]) for p in range(count)])
+    # The steady response is no free motion of a block: its acceleration is -w^2 its depth.
+    acceleration = -(angular_frequency**2) * read[:, :stops]
+    read = read.at[:, 2 * stops : 3 * stops].set(acceleration)
+    change = jnp.zeros((count, stops, *steady.shape[1:]), steady.dtype)
+    for p, s in np.ndindex(count, stops):
+        moved = complex_apply(phases.change[p, s], steady[p]) - steady[p ^ (1 << s)]
+        change = change.at[p, s].set(moved)
+    size = spread(phases.gap, 1, angular_frequency.ndim) + jnp.abs(read[0, :stops])
+    size = jnp.max(size, axis=0, initial=0.0)
     return Forcing(
         angular_frequency=angular_frequency,
         start_phase=start_phase,
         blocks=steady,
-        readout=jnp.stack(readouts),
-        readout_sine=jnp.stack([r.real for r in steady_read]),
-        readout_cosine=jnp.stack([r.imag for r in steady_read]),
-        readout_rest=rest_read,
-        change=jnp.concatenate(changes) if changes else jnp.zeros((0, n)),
-        change_sine=jump.real,
-        change_cosine=jump.imag,
-        change_rest=table(rests, (1,) * lanes),
+        readout=read,
+        change=change,
         longest_step=longest_step,
-        depth_tolerance=jnp.broadcast_to(event_tolerance * depth_scale, angular_frequency.shape),
+        depth_tolerance=jnp.broadcast_to(event_tolerance * size, angular_frequency.shape),
     )
-
-
-def _product(a, b):
-    return jnp.einsum("ij...,jk...->ik...", a, b)
-
-
-def _complex_apply(matrix, vector):
-    return apply_matrix(matrix, vector.real) + 1j * apply_matrix(matrix, vector.imag)
-
-
-def _gap_column(phases: ContactPhases) -> Float[Array, "rows *lanes"]:
-    """What is taken off a reading: the gap off each depth."""
-    rest = jnp.zeros((2 * phases.num_stops + 2, *phases.gap.shape[1:]))
-    return jnp.concatenate([phases.gap, rest])
-
-
-def _block_readout(phases: ContactPhases, p: int) -> Float[Array, "rows states *lanes"]:
-    """Read block coordinates of phase p: depth, speed, acceleration, response and its rate."""
-    stops, n = phases.num_stops, phases.num_blocks
-    plain = _product(phases.readout, phases.to_state[p])
-    velocity = plain[stops : 2 * stops]
-    left, right = velocity[:, :n], velocity[:, n:]
-    decay, rate = phases.exponent[p], phases.rate[p]
-    # d/dt of (z1, z2) is (a1 z1 - b z2, b z1 + a2 z2).
-    along = left * decay[0] + right * rate
-    across = right * decay[1] - left * rate
-    acceleration = jnp.concatenate([along, across], axis=1)
-    return jnp.concatenate([plain[: 2 * stops], acceleration, plain[2 * stops :]], axis=0)
-
-
-def _steady_readout(phases, p, steady, angular_frequency):
-    """Read the steady response of phase p, as complex amplitudes."""
-    stops = phases.num_stops
-    plain = _complex_apply(_product(phases.readout, phases.to_state[p]), steady)
-    acceleration = -(angular_frequency**2) * plain[:stops]
-    return jnp.concatenate([plain[: 2 * stops], acceleration, plain[2 * stops :]], axis=0)
 
 
 def _pick(index: Int[Array, "*lanes"], table: Array) -> Array:
@@ -179,11 +118,14 @@ class _Loop:
         # Velocity is read after a change of phase only by laws and measures that ask for it.
         self.reread = observe or not all(phases.can_pull)
         rows = 3 * self.stops + 2 if observe else (3 if self.reread else 2) * self.stops
-        self.readout = force.readout[:, :rows].reshape(-1, *force.readout.shape[2:])
-        self.readout_rest = force.readout_rest[:, :rows]
-        self.readout_sine = force.readout_sine[:, :rows]
-        self.readout_cosine = force.readout_cosine[:, :rows]
-
+        readout = phases.readout[:, :rows]
+        self.readout = readout.reshape(-1, *readout.shape[2:])
+        self.readout_rest = spread(phases.readout_rest, 2, self.lanes)[:, :rows]
+        self.readout_wave = force.readout[:, :rows].real, force.readout[:, :rows].imag
+        change = phases.change
+        self.change = change.reshape(-1, *change.shape[3:])
+        self.change_rest = spread(phases.change_rest, 3, self.lanes)
+        self.change_wave = force.change.real, force.change.imag
         self.bits = self.column([1 << s for s in range(self.stops)]).astype(np.int32)
 
     def phase_of(self, touching):
@@ -204,8 +146,8 @@ class _Loop:
         rows = rows.reshape(self.count, -1, *rows.shape[1:])
         return (
             _pick(phase, rows + self.readout_rest)
-            + _pick(phase, self.readout_sine) * sine
-            + _pick(phase, self.readout_cosine) * cosine_
+            + _pick(phase, self.readout_wave[0]) * sine
+            + _pick(phase, self.readout_wave[1]) * cosine_
         )
 
     def touching(self, phase):
@@ -353,12 +295,11 @@ class _Loop:
 
     def change_phase(self, landed, phase, arrived, flips, sine, cosine_):
         """Go over to the block coordinates of the phase that the arrived stop leads to."""
-        force = self.force
         flat = landed.reshape(2 * self.n, *landed.shape[2:])
-        rows = apply_matrix(force.change, flat)
+        rows = apply_matrix(self.change, flat)
         rows = rows.reshape(self.count, self.stops, 2 * self.n, *rows.shape[1:])
-        rows = rows + force.change_rest
-        rows = rows + force.change_sine * sine + force.change_cosine * cosine_
+        rows = rows + self.change_rest
+        rows = rows + self.change_wave[0] * sine + self.change_wave[1] * cosine_
         by_stop = _pick(phase, rows)
         changed = by_stop[0]
         for s in range(1, self.stops):
@@ -410,9 +351,10 @@ def enter(loop: _Loop, state: Float[Array, "states *lanes"]) -> Flight:
     force, phases = loop.force, loop.phases
     zero = jnp.zeros_like(force.angular_frequency)
     wave = loop.phasor(zero, 1.0)
-    # By depth alone: without tension the first attempts correct a start that would be pulled.
-    depth = apply_matrix(phases.readout[: loop.stops], state)
-    touching = depth > spread(phases.gap, 1, loop.lanes)
+    position, speed = (apply_matrix(phases.towards_stop, half) for half in jnp.split(state, 2))
+    depth = position - spread(phases.gap, 1, loop.lanes)
+    indicator, _ = loop.contact(jnp.concatenate([depth, speed, jnp.zeros_like(depth)]))
+    touching = indicator > 0
     phase = jnp.broadcast_to(loop.phase_of(touching), zero.shape)
 
     def blocks_of(p):
@@ -482,7 +424,7 @@ def march(
 def longest_step(
     phases: ContactPhases,
     angular_frequency: Float[Array, "*lanes"],
-    tolerance: float,
+    tolerance: Float[ArrayLike, ""],
     steps_per_period: int | None,
 ) -> Float[Array, "*lanes"]:
     """Longest step, s: short against a contact and against the drive period.

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from vibrojax._checks import check_choice, check_count, check_frequencies, check_range, concrete
 from vibrojax.response.settling import Settled, settle
@@ -59,7 +59,7 @@ def _visit(
     angular_frequency: Float[Array, "*lanes"],
     tolerance: Float[Array, ""],
     max_period: int,
-    max_periods: Float[Array, ""],
+    max_periods: Int[Array, ""],
 ) -> Settled:
     return settle(
         march,
@@ -267,7 +267,7 @@ def _result(
 ) -> FrequencyResponse:
     shape = lanes.shape
 
-    def over_axes(values: np.ndarray) -> np.ndarray:
+    def over_axes(values: np.ndarray | np.floating) -> np.ndarray | np.floating:
         if not lanes.batched:
             return values
         return values.reshape(*shape, *values.shape[1:])

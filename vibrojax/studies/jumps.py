@@ -36,7 +36,7 @@ class Jumps:
         ordered = np.sort(self.bracket, axis=-1)
 
         def first(wanted: np.ndarray) -> np.ndarray:
-            found = np.full(ordered.shape[:-2] + (2,), np.nan)
+            found = np.full((*ordered.shape[:-2], 2), np.nan)
             for k in reversed(range(ordered.shape[-2])):
                 found = np.where(wanted[..., k, None], ordered[..., k, :], found)
             return found
