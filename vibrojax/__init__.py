@@ -17,14 +17,21 @@ from vibrojax.drive import NoDrive as NoDrive
 from vibrojax.drive import PointForce as PointForce
 from vibrojax.modes import Modes as Modes
 from vibrojax.modes import modes as modes
+from vibrojax.response.simulate import motion as motion
+from vibrojax.response.simulate import simulate as simulate
 from vibrojax.results.frequency_response import FrequencyResponse as FrequencyResponse
+from vibrojax.results.history import History as History
 from vibrojax.results.status import Status as Status
+from vibrojax.rig_file import read_rig as read_rig
+from vibrojax.rigs import default_rig as default_rig
 from vibrojax.stepping.method import AbstractMethod as AbstractMethod
 from vibrojax.stepping.method import ExactContact as ExactContact
+from vibrojax.stepping.method import ExponentialSplitting as ExponentialSplitting
 from vibrojax.studies.frequency_sweep import frequency_sweep as frequency_sweep
 from vibrojax.systems.base import AbstractEquations as AbstractEquations
 from vibrojax.systems.base import AbstractSystem as AbstractSystem
 from vibrojax.systems.base import LinearEquations as LinearEquations
+from vibrojax.systems.base import Motion as Motion
 from vibrojax.systems.impacting_beam import ImpactingBeam as ImpactingBeam
 
 __version__ = "0.1.0"

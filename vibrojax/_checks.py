@@ -3,6 +3,8 @@
 Only concrete values are checked: under `jit`, `vmap` or `grad` a value is a tracer and passes.
 """
 
+import difflib
+from collections.abc import Iterable
 from typing import Any
 
 import jax
@@ -39,7 +41,15 @@ def _refuse(name: str, value: Any, allowed: str, advice: str) -> None:
     raise ValueError(f"{name} must be {allowed}, got {value!r}.{tail}")
 
 
-def _shown(values: np.ndarray, bad: np.ndarray) -> Any:
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Advice for an unknown name: the nearest known one, and all of them."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = f"Did you mean {close[0]!r}? " if close else ""
+    return f"{hint}Known: {', '.join(known)}."
+
+
+def _shown(values: np.ndarray, bad: np.ndarray | np.bool_) -> Any:
     return values.item() if values.ndim == 0 else values[bad].flat[0].item()
 
 

@@ -1,5 +1,7 @@
 """Natural frequencies and mode shapes of a cantilever, differentiable in every number of it."""
 
+from typing import TYPE_CHECKING
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,9 @@ from jaxtyping import Array, ArrayLike, Float
 from vibrojax._checks import check_choice, check_count, check_range, concrete
 from vibrojax._dtm import Shapes, evaluate, solve
 from vibrojax.beam import Cantilever
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FORMULATIONS = ("consistent", "as_printed")
 
@@ -60,6 +65,12 @@ class Modes(eqx.Module):
             "s", given, 0.0, 1.0, allowed="from 0 (root) to 1 (tip)", advice="s is x/length."
         )
         return evaluate(self.knots, self.coefficients, points, int(derivative))
+
+    def plot(self) -> "Figure":
+        """Draw the shapes, each scaled to a largest displacement of 1; one beam at a time."""
+        from vibrojax.results.plotting import plot_modes
+
+        return plot_modes(self)
 
     def __repr__(self) -> str:
         head = f"Modes(num_modes={self.num_modes}, formulation={self.formulation!r})"

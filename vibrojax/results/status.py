@@ -9,6 +9,7 @@ class Status(enum.Enum):
     settled = 0
     aperiodic = 1
     diverged = 2
+    completed = 3
 
     @property
     def sentence(self) -> str:
@@ -22,5 +23,6 @@ _SENTENCES = {
         "No period up to the largest one looked for within the periods allowed: chaotic, "
         "quasi-periodic, of higher period, or still in a transient."
     ),
+    Status.completed: "The integration reached its end.",
     Status.diverged: "The state stopped being finite, or contacts came too fast to be resolved.",
 }

@@ -1,7 +1,7 @@
 """Which method suits a system."""
 
 from vibrojax.stepping.contact_phases import MAX_STOPS
-from vibrojax.stepping.method import AbstractMethod, ExactContact
+from vibrojax.stepping.method import AbstractMethod, ExactContact, ExponentialSplitting
 from vibrojax.systems.base import AbstractSystem
 
 
@@ -24,4 +24,5 @@ def choose_method(
         )
     if method is not None:
         return method
-    return ExactContact(tolerance, steps_per_period)
+    kind = ExactContact if exact else ExponentialSplitting
+    return kind(tolerance, steps_per_period)

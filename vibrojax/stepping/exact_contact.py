@@ -27,6 +27,7 @@ from vibrojax.stepping.contact_phases import (
 )
 from vibrojax.stepping.elementary import apply_matrix, computed_once, cosine, cubic_maximum
 from vibrojax.stepping.measures import Measures, Segment, no_measures
+from vibrojax.systems.base import Motion
 
 lax = jax.lax
 
@@ -65,7 +66,7 @@ def forcing(
     angular_frequency: Float[Array, "*lanes"],
     start_phase: Float[Array, "*lanes"],
     longest_step: Float[Array, "*lanes"],
-    event_tolerance: Float[ArrayLike, ""],
+    event_tolerance: Float[ArrayLike, "*#lanes"],
 ) -> Forcing:
     """Tabulate what a harmonic input Im(amplitude exp(i phase)) does in every phase."""
     stops, count = phases.num_stops, 2**phases.num_stops
@@ -371,10 +372,12 @@ def enter(loop: _Loop, state: Float[Array, "states *lanes"]) -> Flight:
     return Flight(blocks, phase, zero, zero, reading, count, count, measures)
 
 
-def leave(loop: _Loop, flight: Flight) -> Float[Array, "states *lanes"]:
-    """State (q, q') of a flight."""
+def leave(
+    loop: _Loop, flight: Flight, time: Float[Array, "*lanes"]
+) -> Float[Array, "states *lanes"]:
+    """State (q, q') of a flight, at its time."""
     force, phases = loop.force, loop.phases
-    wave = loop.phasor(flight.time, 1.0)
+    wave = loop.phasor(time, 1.0)
     flat = flight.blocks.reshape(2 * loop.n, *flight.blocks.shape[2:])
 
     def state_of(p):
@@ -416,15 +419,63 @@ def march(
         return loop.attempt(flight, live(flight), tick, loop.period), tick + 1
 
     flight, _ = lax.while_loop(lambda c: jnp.any(live(c[0])), body, (flight, jnp.int32(0)))
-    end = leave(loop, flight)
+    end = leave(loop, flight, flight.time)
     end = jnp.where(flight.finished >= target, end, jnp.nan)
     return end, flight.attempts, flight.measures
+
+
+def step_from(
+    phases: ContactPhases,
+    motion: Motion,
+    state: Float[Array, " states"],
+    start: Float[Array, ""],
+    duration: Float[Array, ""],
+    tolerance: float,
+    max_attempts: int | None,
+) -> Float[Array, " states"]:
+    """Advance one lane from a time (s) over a duration, for any waveform.
+
+    Harmonic drives are exact; of a chirp the step takes the frequency and amplitude of its middle.
+    With `max_attempts` the loop has that fixed length, which reverse mode can differentiate.
+    The state is NaN if the attempts did not suffice.
+    """
+    phase, _, _ = motion.waveform.phase(start)
+    phase_end, _, _ = motion.waveform.phase(start + duration)
+    _, rate, second = motion.waveform.phase(start + duration / 2)
+    angular_frequency = (phase_end - phase) / duration
+    step = longest_step(phases, angular_frequency, tolerance, None)
+    force = forcing(
+        phases,
+        motion.drive.complex_amplitude(rate, second),
+        angular_frequency,
+        phase - 2 * jnp.pi * jnp.round(phase / (2 * jnp.pi)),
+        jnp.minimum(step, duration),
+        tolerance / 2,
+    )
+    loop = _Loop(phases, force, observe=False)
+    flight = enter(loop, state)
+    flight = flight._replace(step=loop.next_step(flight.reading, flight.phase, duration))
+
+    def attempt(flight, tick):
+        return loop.attempt(flight, flight.finished < 1, tick, duration)
+
+    if max_attempts is None:
+        budget = RETRIES * jnp.ceil(duration / force.longest_step)
+
+        def unfinished(flight):
+            return (flight.finished < 1) & (flight.attempts < budget)
+
+        flight = lax.while_loop(unfinished, lambda f: attempt(f, f.attempts), flight)
+    else:
+        ticks = jnp.arange(max_attempts, dtype=jnp.int32)
+        flight, _ = lax.scan(lambda f, i: (attempt(f, i), None), flight, ticks)
+    return jnp.where(flight.finished > 0, leave(loop, flight, duration), jnp.nan)
 
 
 def longest_step(
     phases: ContactPhases,
     angular_frequency: Float[Array, "*lanes"],
-    tolerance: Float[ArrayLike, ""],
+    tolerance: Float[ArrayLike, "*#lanes"],
     steps_per_period: int | None,
 ) -> Float[Array, "*lanes"]:
     """Longest step, s: short against a contact and against the drive period.

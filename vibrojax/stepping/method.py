@@ -1,20 +1,24 @@
 """How a sweep steps its lanes: one interface, several methods."""
 
+import math
 from abc import abstractmethod
+from typing import ClassVar
 
+import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
-from vibrojax._checks import check_count, check_range
+from vibrojax._checks import check_count, check_range, concrete
 from vibrojax.drive import AbstractDrive
-from vibrojax.stepping import exact_contact
+from vibrojax.stepping import exact_contact, splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 from vibrojax.stepping.measures import Measures
-from vibrojax.systems.base import AbstractEquations, LinearEquations
+from vibrojax.systems.base import AbstractEquations, LinearEquations, Motion
 
 
-def measuring(tolerance: Float[Array, ""]) -> Float[Array, ""]:
+def measuring(tolerance: Float[Array, "..."]) -> Float[Array, "..."]:
     """How many times finer than the march the periods are stepped in which extremes are read.
 
     Extremes are those of cubics between steps: their error falls with the fourth power of it.
@@ -44,8 +48,43 @@ class AbstractMarch(eqx.Module):
         """Return weights that make (q, q') comparable: norms of weighted states are energies."""
 
 
-class AbstractMethod(eqx.Module):
-    """How the motion is stepped; a setting, apart from the system."""
+class StateInterpolation(diffrax.AbstractLocalInterpolation):
+    """Between two steps: the cubic through (q, q') at both ends, and its derivative."""
+
+    t0: Float[Array, ""]
+    t1: Float[Array, ""]
+    y0: Float[Array, " states"]
+    y1: Float[Array, " states"]
+
+    def evaluate(
+        self,
+        t0: Float[ArrayLike, ""],
+        t1: Float[ArrayLike, ""] | None = None,
+        left: bool = True,
+    ) -> Float[Array, " states"]:
+        """Return the state at t0, or the increment from t0 to t1."""
+        if t1 is not None:
+            return self.evaluate(t1) - self.evaluate(t0)
+        h = self.t1 - self.t0
+        safe = jnp.where(h > 0, h, 1.0)
+        u = (t0 - self.t0) / safe
+        (q0, v0), (q1, v1) = jnp.split(self.y0, 2), jnp.split(self.y1, 2)
+        rise, bend = q1 - q0, h * (v0 + v1) - 2 * (q1 - q0)
+        curve = rise - h * v0 - bend
+        q = q0 + u * (h * v0 + u * (curve + u * bend))
+        v = v0 + u * (2 * curve + 3 * u * bend) / safe
+        return jnp.concatenate([q, v])
+
+
+class AbstractMethod(diffrax.AbstractSolver):
+    """How the motion is stepped; a setting, apart from the system.
+
+    Every method is a diffrax solver too: pass a `Motion` as `args` and
+    `ODETerm(motion.vector_field)` as the terms, at constant steps.
+    """
+
+    term_structure: ClassVar = diffrax.AbstractTerm
+    interpolation_cls: ClassVar = StateInterpolation
 
     @abstractmethod
     def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> AbstractMarch:
@@ -54,13 +93,50 @@ class AbstractMethod(eqx.Module):
         Map it with `jax.vmap(..., out_axes=-1)` for lanes of different systems.
         """
 
+    @abstractmethod
+    def steps(self, motion: Motion) -> int:
+        """Return how many equal steps to take in a drive period, for diffrax.
+
+        Raises `ValueError` when that hangs on numbers that JAX is tracing.
+        """
+
+    @abstractmethod
+    def advance(self, motion, start, duration, state, solver_state):
+        """Return the state after a step."""
+
+    def order(self, terms):
+        """Order of convergence with smooth forces."""
+        return 2
+
+    def func(self, terms, t0, y0, args):
+        """Vector field, for diffrax."""
+        return terms.vf(t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        """Take one step, for diffrax."""
+        state = self.advance(args, jnp.asarray(t0), jnp.asarray(t1 - t0), y0, solver_state)
+        whole = jnp.all(jnp.isfinite(state))
+        result = diffrax.RESULTS.where(
+            whole, diffrax.RESULTS.successful, diffrax.RESULTS.nonlinear_divergence
+        )
+        return state, None, {"y0": y0, "y1": state}, solver_state, result
+
+
+def _motion_of(args: object) -> Motion:
+    if not isinstance(args, Motion):
+        raise ValueError(
+            "This solver needs args=motion, a Motion as made by vibrojax.motion(system, ...), "
+            f"got {args!r}."
+        )
+    return args
+
 
 class ExactMarch(AbstractMarch):
     """`ExactContact` made ready: the phases of every rig are known."""
 
     phases: ContactPhases
     drive: AbstractDrive
-    tolerance: Float[Array, ""]
+    tolerance: Float[Array, "*lanes"]
     steps_per_period: int | None = eqx.field(static=True)
 
     def __call__(
@@ -102,17 +178,131 @@ class ExactContact(AbstractMethod):
     """Error to expect relative to the response; chooses steps and how sharply to land."""
     steps_per_period: int | None = eqx.field(static=True, default=None)
     """Steps per drive period, instead of those chosen from the contact and the tolerance."""
+    max_attempts: int | None = eqx.field(static=True, default=None)
+    """Within diffrax: a fixed number of attempts per step, which reverse mode can differentiate;
+    None takes as many as needed, for forward mode and plain values."""
+
+    def __check_init__(self) -> None:
+        """Refuse settings that cannot work."""
+        check_settings(self.tolerance, self.steps_per_period)
+        if self.max_attempts is not None:
+            check_count("max_attempts", self.max_attempts)
+
+    def init(self, terms, t0, t1, y0, args) -> ContactPhases:
+        """Compute the phases once, for diffrax."""
+        return contact_phases(_linear(_motion_of(args).equations, "ExactContact"))
+
+    def advance(self, motion, start, duration, state, solver_state):
+        """Advance with exact propagators, landing on every crossing in between."""
+        return exact_contact.step_from(
+            solver_state, motion, state, start, duration, self.tolerance, self.max_attempts
+        )
+
+    def steps(self, motion: Motion) -> int:
+        """As many as the march would take; 64 when that hangs on numbers that JAX is tracing."""
+        if self.steps_per_period is not None:
+            return self.steps_per_period
+        _, rate, _ = motion.waveform.phase(jnp.zeros(()))
+        linear = _linear(motion.equations, "ExactContact")
+        steps = concrete(_exact_steps(linear, rate, jnp.asarray(self.tolerance)))
+        return 64 if steps is None else max(32, math.ceil(float(steps)))
+
+    def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> ExactMarch:
+        """Compute the phases of flight and contact."""
+        phases = contact_phases(_linear(equations, "ExactContact"))
+        return ExactMarch(phases, drive, jnp.asarray(self.tolerance), self.steps_per_period)
+
+
+class SplittingMarch(AbstractMarch):
+    """`ExponentialSplitting` made ready."""
+
+    equations: LinearEquations
+    drive: AbstractDrive
+    tolerance: Float[Array, "*lanes"]
+    steps_per_period: int | None = eqx.field(static=True)
+
+    def __call__(
+        self,
+        state: Float[Array, "states *lanes"],
+        angular_frequency: Float[Array, "*lanes"],
+        periods: Int[Array, "*lanes"],
+        observe: bool,
+    ) -> tuple[Float[Array, "states *lanes"], Int[Array, "*lanes"], Measures | None]:
+        """March with kicks of contact; see `splitting.march`."""
+        if self.steps_per_period is None:
+            steps = splitting.steps_for(self.equations, angular_frequency, self.tolerance)
+        else:
+            steps = jnp.asarray(self.steps_per_period, jnp.int32)
+        zero = jnp.zeros_like(angular_frequency)
+        amplitude = self.drive.complex_amplitude(angular_frequency, zero)
+        return splitting.march(
+            self.equations, amplitude, angular_frequency, state, periods, steps, observe=observe
+        )
+
+    def energy_weight(self) -> Float[Array, "states *lanes"]:
+        """Return weights that make (q, q') comparable."""
+        root_mass = jnp.sqrt(self.equations.modal_mass)
+        return jnp.concatenate([root_mass * self.equations.angular_frequency, root_mass])
+
+
+class ExponentialSplitting(AbstractMethod):
+    """Exact modes and kicks of contact with a force-gradient correction, at equal steps.
+
+    For every contact law and any number of stops; the corner of the force is rounded over
+    `Stop.width`. Raises `ValueError` for a tolerance outside (0, 0.1] or fewer than 4 steps.
+    """
+
+    tolerance: float = eqx.field(default=1e-4)
+    """Error to expect relative to the response, from which the steps are chosen."""
+    steps_per_period: int | None = eqx.field(static=True, default=None)
+    """Steps per drive period, instead of those chosen from the contact and the tolerance."""
 
     def __check_init__(self) -> None:
         """Refuse settings that cannot work."""
         check_settings(self.tolerance, self.steps_per_period)
 
-    def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> ExactMarch:
-        """Compute the phases of flight and contact."""
-        if not isinstance(equations, LinearEquations):
-            raise ValueError("ExactContact needs a system that is linear but for its stops.")
-        phases = contact_phases(equations)
-        return ExactMarch(phases, drive, jnp.asarray(self.tolerance), self.steps_per_period)
+    def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> SplittingMarch:
+        """Keep the equations: there is nothing to compute before the frequency is known."""
+        linear = _linear(equations, "ExponentialSplitting")
+        return SplittingMarch(linear, drive, jnp.asarray(self.tolerance), self.steps_per_period)
+
+    def init(self, terms, t0, t1, y0, args) -> None:
+        """Keep nothing between steps, for diffrax."""
+        _linear(_motion_of(args).equations, "ExponentialSplitting")
+
+    def advance(self, motion, start, duration, state, solver_state):
+        """Drift, kick, drift."""
+        return splitting.step_from(motion, state, start, duration)
+
+    def steps(self, motion: Motion) -> int:
+        """As many as the contact and the tolerance, or `steps_per_period`, ask for."""
+        if self.steps_per_period is not None:
+            return self.steps_per_period
+        _, rate, _ = motion.waveform.phase(jnp.zeros(()))
+        linear = _linear(motion.equations, "ExponentialSplitting")
+        steps = concrete(_splitting_steps(linear, rate, jnp.asarray(self.tolerance)))
+        if steps is None:
+            raise ValueError(
+                "The number of steps hangs on values that JAX is tracing: give the solver, as "
+                "ExponentialSplitting(steps_per_period=...)."
+            )
+        return int(steps)
+
+
+_splitting_steps = jax.jit(splitting.steps_for)
+
+
+@jax.jit
+def _exact_steps(equations, rate, tolerance):
+    phases = contact_phases(equations)
+    step = exact_contact.longest_step(phases, rate, tolerance, None)
+    return 2 * jnp.pi / rate / step
+
+
+def _linear(equations: AbstractEquations, method: str) -> LinearEquations:
+    if not isinstance(equations, LinearEquations):
+        raise ValueError(f"{method} needs a system that is linear but for its stops.")
+    return equations
 
 
 def check_settings(tolerance: float, steps_per_period: int | None) -> None:

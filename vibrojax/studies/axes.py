@@ -1,6 +1,5 @@
 """From a function of named numbers to the lanes of a study."""
 
-import difflib
 import inspect
 import itertools
 from collections.abc import Callable
@@ -11,7 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.systems.base import AbstractSystem
+from vibrojax._checks import nearest
+from vibrojax.systems.base import AbstractSystem, as_arrays
 
 
 class Lanes(eqx.Module):
@@ -32,18 +32,6 @@ class Lanes(eqx.Module):
     def shape(self) -> tuple[int, ...]:
         """Lengths of the axes."""
         return tuple(len(values) for values in self.axes.values())
-
-
-def nearest(name: str, known: list[str]) -> str:
-    """Advice for an unknown name: the nearest known one, and all of them."""
-    close = difflib.get_close_matches(name, known, n=1)
-    hint = f"Did you mean {close[0]!r}? " if close else ""
-    return f"{hint}Known: {', '.join(known)}."
-
-
-def as_arrays(system: AbstractSystem) -> AbstractSystem:
-    """Turn every number of a system into an array, so that new numbers do not recompile."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), system)
 
 
 def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[str, Any]) -> Lanes:

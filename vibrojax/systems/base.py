@@ -7,6 +7,7 @@ from them once, before any stepping, so that nothing derived can go stale.
 """
 
 from abc import abstractmethod
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -17,6 +18,9 @@ from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive, AbstractWaveform
 
 
+ModuleType = TypeVar("ModuleType", bound=eqx.Module)
+
+
 class AbstractEquations(eqx.Module):
     """The equations of motion of one lane; no batch axis.
 
@@ -25,6 +29,11 @@ class AbstractEquations(eqx.Module):
     """
 
     stops: eqx.AbstractVar[tuple[Stop, ...]]
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """How many coordinates there are."""
 
     @abstractmethod
     def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
@@ -104,6 +113,11 @@ class LinearEquations(AbstractEquations):
     modal_mass: Float[Array, "coordinates *lanes"]
     """Modal masses, kg; weights of the energy."""
 
+    @property
+    def size(self) -> int:
+        """How many coordinates there are."""
+        return self.angular_frequency.shape[0]
+
     def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
         """Return the diagonal of modal masses."""
         return jnp.diag(self.modal_mass)
@@ -159,6 +173,17 @@ class AbstractSystem(eqx.Module):
     @abstractmethod
     def equations(self) -> AbstractEquations:
         """Compute the equations of motion from the numbers of the system."""
+
+
+def as_arrays(system: ModuleType) -> ModuleType:
+    """Turn every number of a module into an array, so that new numbers do not recompile."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), system)
+
+
+@eqx.filter_jit
+def equations_of(system: AbstractSystem) -> AbstractEquations:
+    """Compute the equations of a system, compiled once for all numbers of its structure."""
+    return system.equations()
 
 
 class Motion(eqx.Module):

@@ -1,0 +1,209 @@
+"""Time histories of one lane."""
+
+import math
+
+import diffrax
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import ArrayLike
+
+from vibrojax._checks import check_choice, check_count, check_positive, concrete
+from vibrojax.drive import AbstractWaveform, Harmonic
+from vibrojax.results.history import History
+from vibrojax.stepping.choice import choose_method
+from vibrojax.stepping.method import AbstractMethod, ExactContact
+from vibrojax.systems.base import (
+    AbstractSystem,
+    LinearEquations,
+    Motion,
+    as_arrays,
+    equations_of,
+)
+from vibrojax.systems.impacting_beam import ImpactingBeam
+
+ATTEMPTS = 12
+"""Attempts per sample interval in the loop of fixed length that reverse mode differentiates."""
+
+
+def motion(
+    system: AbstractSystem,
+    *,
+    frequency: ArrayLike | None = None,
+    frequency_ratio: ArrayLike | None = None,
+    waveform: AbstractWaveform | None = None,
+) -> Motion:
+    """Put the equations of a system and its drive in time together: the `args` of the solvers.
+
+    Give at most one of `frequency` (Hz), `frequency_ratio` (to the first natural frequency of the
+    unstopped system) and `waveform` (`Harmonic`, `Chirp`). Raises `ValueError` for more than one.
+    """
+    given = [x for x in (frequency, frequency_ratio, waveform) if x is not None]
+    if len(given) > 1:
+        raise ValueError("Give one of frequency, frequency_ratio and waveform, not several.")
+    equations = equations_of(as_arrays(system))
+    if waveform is None:
+        if frequency is None:
+            if not isinstance(equations, LinearEquations):
+                raise ValueError("This system has no natural frequency: give frequency in Hz.")
+            natural = equations.angular_frequency[0] / (2 * jnp.pi)
+            # Without a drive the first natural frequency only serves as a clock.
+            frequency = natural * (1.0 if frequency_ratio is None else frequency_ratio)
+        waveform = Harmonic(frequency)
+    drive, waveform = as_arrays(system.drive), as_arrays(waveform)
+    return Motion(equations, drive, waveform)
+
+
+def simulate(
+    system: AbstractSystem,
+    *,
+    frequency: ArrayLike | None = None,
+    frequency_ratio: ArrayLike | None = None,
+    waveform: AbstractWaveform | None = None,
+    periods: float | None = None,
+    duration: float | None = None,
+    samples_per_period: int = 128,
+    samples: int | None = None,
+    initial_state: tuple[ArrayLike, ArrayLike] | None = None,
+    release: float | None = None,
+    solver: diffrax.AbstractSolver | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    tolerance: float = 1e-6,
+    gradient: str = "reverse",
+    max_steps: int | None = None,
+) -> History:
+    """Integrate the motion and return its time history at equal intervals.
+
+    Parameters:
+        system: what moves.
+        frequency, frequency_ratio, waveform: the drive in time, one of them (Hz; ratio to the
+            first natural frequency; `Harmonic` or `Chirp`). None for a system without a drive.
+        periods: how long, in drive periods (of the first mode where nothing drives).
+        duration: how long, s, instead of periods.
+        samples_per_period: samples per such period.
+        samples: number of intervals over the whole time, instead.
+        initial_state: modal coordinates q (m) and velocities q' (m/s), each of shape
+            (coordinates,); at rest by default.
+        release: instead, let the beam go from the static deflection with this tip displacement, m.
+        solver: any diffrax solver. By default `ExactContact` where the stops are linear in
+            contact, else `ExponentialSplitting`; both take equal steps, others a PID controller.
+        stepsize_controller: for other solvers; by default `PIDController(tolerance, tolerance)`
+            with steps of at most a fortieth of a period, lest a contact be stepped over.
+        tolerance: relative error to aim at.
+        gradient: `reverse` (`jax.grad`, `jax.vjp`) or `forward` (`jax.jvp`, `jax.jacfwd`): which
+            derivative will be taken through the history. Values are the same.
+        max_steps: limit of diffrax on the number of steps.
+
+    Raises `ValueError` for settings that contradict each other or cannot work, or a release that
+    starts inside a stop. The history has a `status`; a solver that fails is flagged there.
+    """
+    check_choice("gradient", gradient, ("reverse", "forward"))
+    _check_waveform(system, frequency, frequency_ratio, waveform)
+    run = motion(system, frequency=frequency, frequency_ratio=frequency_ratio, waveform=waveform)
+    _, rate, _ = run.waveform.phase(jnp.zeros(()))
+    period = 2 * jnp.pi / rate
+    length, per_period, intervals = _grid(period, periods, duration, samples_per_period, samples)
+    times = length * jnp.linspace(0.0, 1.0, intervals + 1)
+    state = _initial_state(system, run, initial_state, release)
+    solver = solver or choose_method(system, None, tolerance, None)
+    if isinstance(solver, AbstractMethod):
+        if isinstance(solver, ExactContact) and gradient == "reverse" and not solver.max_attempts:
+            solver = ExactContact(solver.tolerance, solver.steps_per_period, ATTEMPTS)
+        parts = math.ceil(solver.steps(run) / per_period)
+        controller: diffrax.AbstractStepSizeController = diffrax.ConstantStepSize()
+        step, limit = length / (intervals * parts), intervals * parts + 16
+    else:
+        size = jnp.max(jnp.abs(state)) + _static_size(system, run)
+        controller = stepsize_controller or diffrax.PIDController(
+            rtol=tolerance, atol=1e-3 * tolerance * size, dtmax=period / 40
+        )
+        step, limit = None, 1_000_000
+    adjoint = (
+        diffrax.RecursiveCheckpointAdjoint() if gradient == "reverse" else diffrax.ForwardMode()
+    )
+    return _solve(
+        as_arrays(system), run, solver, controller, adjoint, step, times, state, max_steps or limit
+    )
+
+
+def _grid(period, periods, duration, samples_per_period, samples):
+    """Return the length of the run (s), samples per period and the number of intervals."""
+    if (periods is None) == (duration is None):
+        raise ValueError("Give periods or duration (s), one of the two.")
+    check_count("samples_per_period", samples_per_period, least=2)
+    if samples is not None:
+        check_count("samples", samples)
+    if periods is not None:
+        check_positive("periods", periods, "(drive periods)")
+        intervals = samples or max(1, round(periods * samples_per_period))
+        return periods * period, intervals / periods, intervals
+    check_positive("duration", duration, "s")
+    count = concrete(duration / period)
+    if count is None:
+        raise ValueError(
+            "How many periods the duration has hangs on values that JAX is tracing: give periods "
+            "in place of duration."
+        )
+    intervals = samples or max(1, math.ceil(float(count) * samples_per_period))
+    return jnp.asarray(duration, float), intervals / float(count), intervals
+
+
+def _initial_state(system, run, initial_state, release):
+    if initial_state is not None and release is not None:
+        raise ValueError("Give initial_state or release, not both.")
+    if release is not None:
+        if not isinstance(system, ImpactingBeam):
+            raise ValueError("release is for an ImpactingBeam: give initial_state instead.")
+        q = system.static_shape(release)
+        depth = concrete(run.equations.penetration(q))
+        if depth is not None and (depth > 0).any():
+            raise ValueError(
+                f"release = {release!r} m starts {depth.max():.3g} m inside a stop. Release the "
+                "beam from the other side, or from less."
+            )
+        return jnp.concatenate([q, jnp.zeros_like(q)])
+    n = run.equations.size
+    if initial_state is None:
+        return jnp.zeros(2 * n)
+    q, v = (jnp.asarray(x, float) for x in initial_state)
+    if q.shape != (n,) or v.shape != (n,):
+        raise ValueError(
+            f"initial_state must be (q, q') of shape ({n},) each, got {q.shape} and {v.shape}."
+        )
+    return jnp.concatenate([q, v])
+
+
+def _static_size(system, run):
+    """A size of the state for absolute tolerances: the drive's quasi-static response."""
+    _, rate, second = run.waveform.phase(jnp.zeros(()))
+    drive = jnp.abs(system.drive.complex_amplitude(rate, second))
+    return drive * jnp.max(jnp.abs(run.equations.input(jnp.zeros(run.equations.size)))) / rate**2
+
+
+@eqx.filter_jit
+def _solve(system, run, solver, controller, adjoint, step, times, state, max_steps):
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(run.vector_field),
+        solver,
+        t0=times[0],
+        t1=times[-1],
+        dt0=step,
+        y0=state,
+        args=run,
+        saveat=diffrax.SaveAt(ts=times),
+        stepsize_controller=controller,
+        adjoint=adjoint,
+        max_steps=max_steps,
+        throw=False,
+    )
+    return History.of(system, run, times, solution.ys, solution.result)
+
+
+def _check_waveform(system, frequency, frequency_ratio, waveform) -> None:
+    for name, value in (("frequency", frequency), ("frequency_ratio", frequency_ratio)):
+        if value is not None:
+            check_positive(name, value, "Hz" if name == "frequency" else "(ratio)")
+    _, unit = system.drive.reference
+    if unit != "m" and frequency is None and frequency_ratio is None and waveform is None:
+        raise ValueError(
+            "The system has a drive: give frequency (Hz), frequency_ratio or waveform."
+        )

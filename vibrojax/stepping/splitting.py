@@ -1,0 +1,299 @@
+"""Exponential splitting: the linear modes advance exactly, contact is a kick.
+
+One step is half a drift, a kick, half a drift. The drift is the exact flow of the damped modes
+about their steady response to the drive, so neither mode 5 nor the drive limits the step. The kick
+is that of Takahashi and Imada (1984): the force is corrected by its own gradient,
+f - h^2/12 f' G f with G the mobility of the contact points, which removes the leading error of a
+force that depends on position (the damping of a contact keeps its error of second order). For
+every contact law; in lanes it carries trailing axes as `exact_contact` does.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float, Int
+
+from vibrojax.contact import Stop
+from vibrojax.stepping.contact_phases import spread
+from vibrojax.stepping.elementary import computed_once, cubic_maximum
+from vibrojax.stepping.measures import Measures, Segment, no_measures
+from vibrojax.systems.base import LinearEquations, Motion
+
+lax = jax.lax
+
+
+class Drift(NamedTuple):
+    """Exact flow of every mode over a time: (q, q') to (qq q + qv q', vq q + vv q')."""
+
+    qq: Float[Array, "modes *lanes"]
+    qv: Float[Array, "modes *lanes"]
+    vq: Float[Array, "modes *lanes"]
+    vv: Float[Array, "modes *lanes"]
+
+    def __call__(
+        self, q: Float[Array, "modes *lanes"], v: Float[Array, "modes *lanes"]
+    ) -> tuple[Float[Array, "modes *lanes"], Float[Array, "modes *lanes"]]:
+        """Advance displacements and velocities."""
+        return self.qq * q + self.qv * v, self.vq * q + self.vv * v
+
+
+def drift(
+    angular_frequency: Float[Array, "modes *lanes"],
+    damping_ratio: Float[Array, "modes *lanes"],
+    time: Float[Array, "*lanes"],
+) -> Drift:
+    """Compute the flow of q'' + 2 zeta w q' + w^2 q = 0 over `time`, any damping ratio."""
+    w, zeta = angular_frequency, damping_ratio
+    under, over = zeta < 1, zeta > 1
+    spin = w * jnp.sqrt(jnp.where(under, 1 - zeta**2, 1.0))
+    spread_ = w * jnp.sqrt(jnp.where(over, zeta**2 - 1, 1.0))
+    decay = jnp.exp(-zeta * w * time)
+    fast = jnp.exp(-(zeta * w + spread_) * time)
+    slow = jnp.exp(jnp.where(over, spread_ - zeta * w, 0.0) * time)
+    even = jnp.where(under, decay * jnp.cos(spin * time), jnp.where(over, (slow + fast) / 2, decay))
+    sine = decay * jnp.sin(spin * time) / spin
+    sinh = (slow - fast) / (2 * spread_)
+    odd = jnp.where(under, sine, jnp.where(over, sinh, decay * time))
+    return Drift(even + zeta * w * odd, odd, -(w**2) * odd, even - zeta * w * odd)
+
+
+def steady(
+    equations: LinearEquations,
+    amplitude: Complex[Array, "*lanes"],
+    angular_frequency: Float[Array, "*lanes"],
+) -> Complex[Array, "states *lanes"]:
+    """Complex amplitude of (q, q') in the steady response without stops."""
+    omega, lanes = angular_frequency, angular_frequency.ndim
+    w = spread(equations.angular_frequency, 1, lanes)
+    zeta = spread(equations.damping_ratio, 1, lanes)
+    dynamic = w**2 - omega**2 + 2j * zeta * w * omega
+    q = spread(equations.input_map, 1, lanes) * amplitude / dynamic
+    return jnp.concatenate([q, 1j * omega * q])
+
+
+class Contact(NamedTuple):
+    """The stops as a kick sees them."""
+
+    stops: tuple[Stop, ...]
+    towards: Float[Array, "stops modes *lanes"]
+    push: Float[Array, "modes stops *lanes"]
+    mobility: Float[Array, "stops stops *lanes"]
+    gap: Float[Array, "stops *lanes"]
+
+
+def contact_of(equations: LinearEquations, lanes: int) -> Contact:
+    """Gather what the kick needs; numbers shared by all lanes get as many trailing axes."""
+    towards, push = equations.stop_map, equations.force_map
+    gaps = [jnp.asarray(stop.gap, float) for stop in equations.stops]
+    return Contact(
+        stops=equations.stops,
+        towards=towards,
+        push=push,
+        mobility=spread(jnp.einsum("sm...,mt...->st...", towards, push), 2, lanes),
+        gap=spread(jnp.stack(gaps), 1, lanes) if gaps else jnp.zeros((0,) + (1,) * lanes),
+    )
+
+
+def _apply(matrix, vector):
+    matrix = spread(matrix, 2, vector.ndim - 1)
+    return jnp.sum(matrix * vector[None], axis=1)
+
+
+def forces(
+    contact: Contact, depth: Float[Array, "stops *lanes"], rate: Float[Array, "stops *lanes"]
+) -> tuple[Float[Array, "stops *lanes"], ...]:
+    """Return the force of each stop, its slope in depth and its slope in rate."""
+
+    def all_stops(depth, rate):
+        return jnp.stack([s.force(depth[i], rate[i]) for i, s in enumerate(contact.stops)])
+
+    one, zero = jnp.ones_like(depth), jnp.zeros_like(depth)
+    force, stiffness = jax.jvp(all_stops, (depth, rate), (one, zero))
+    _, damping = jax.jvp(all_stops, (depth, rate), (zero, one))
+    return force, stiffness, damping
+
+
+def kick(
+    contact: Contact,
+    depth: Float[Array, "stops *lanes"],
+    rate: Float[Array, "stops *lanes"],
+    step: Float[Array, "*lanes"],
+) -> tuple[Float[Array, "stops *lanes"], Float[Array, "stops *lanes"]]:
+    """Impulse of each stop in a step, and its force.
+
+    The rate is taken in the middle of the kick, which for a linear dashpot is a linear equation:
+    stable for any damping.
+    """
+    force, stiffness, damping = forces(contact, depth, rate)
+    if len(contact.stops) == 1:
+        middle = force / (1 + step / 2 * damping * contact.mobility[0])
+    else:
+        # Few stops, rarely touching at once: two passes of Gauss-Seidel on the implicit damping.
+        middle = force
+        for _ in range(2):
+            others = jnp.einsum("st...,t...->s...", contact.mobility, middle)
+            own = jnp.stack([contact.mobility[i, i] for i in range(len(contact.stops))])
+            lag = step / 2 * damping
+            middle = (force - lag * (others - own * middle)) / (1 + lag * own)
+    correction = stiffness * jnp.einsum("st...,t...->s...", contact.mobility, middle)
+    corrected = middle - step**2 / 12 * correction
+    return step * corrected, force
+
+
+def contact_rate(equations: LinearEquations) -> Float[Array, "*lanes"]:
+    """Angular frequency of the contact points on their stops, rad/s: sets the step.
+
+    Each stop counts with its slope at a tenth of the gap (or ten rounded widths).
+    """
+    rates = [jnp.zeros_like(equations.angular_frequency[0])]
+    for i, stop in enumerate(equations.stops):
+        depth = jnp.maximum(0.1 * jnp.asarray(stop.gap), 10 * jnp.asarray(stop.width))
+        depth = jnp.maximum(depth, 1e-9)
+        _, slope = jax.jvp(
+            lambda d, s=stop: s.force(d, jnp.zeros_like(d)), (depth,), (jnp.ones_like(depth),)
+        )
+        mobility = jnp.sum(equations.stop_map[i] * equations.force_map[:, i], axis=0)
+        rates.append(jnp.sqrt(jnp.maximum(slope * mobility, 0.0)))
+    return jnp.max(jnp.stack(jnp.broadcast_arrays(*rates)), axis=0)
+
+
+def steps_for(
+    equations: LinearEquations,
+    angular_frequency: Float[Array, "*lanes"],
+    tolerance: Float[Array, ""],
+) -> Int[Array, ""]:
+    """Steps per drive period for an error near the tolerance (measured: see benchmarks)."""
+    rate = jnp.maximum(contact_rate(equations), equations.angular_frequency[0])
+    per_radian = 8.0 * jnp.sqrt(1e-3 / tolerance)
+    longest = jnp.max(rate / angular_frequency) * 2 * np.pi * per_radian
+    return jnp.ceil(jnp.maximum(longest, 64.0)).astype(jnp.int32)
+
+
+def step_from(
+    motion: Motion,
+    state: Float[Array, " states"],
+    start: Float[Array, ""],
+    duration: Float[Array, ""],
+) -> Float[Array, " states"]:
+    """Take one step of one lane from a time (s), for any waveform.
+
+    Harmonic drives are exact; of a chirp the step takes the frequency and amplitude of its middle.
+    """
+    equations = motion.equations
+    phase, _, _ = motion.waveform.phase(start)
+    phase_end, _, _ = motion.waveform.phase(start + duration)
+    phase_middle, rate, second = motion.waveform.phase(start + duration / 2)
+    amplitude = motion.drive.complex_amplitude(rate, second)
+    forced = steady(equations, amplitude, (phase_end - phase) / duration)
+
+    def at(angle):
+        return forced.real * jnp.sin(angle) + forced.imag * jnp.cos(angle)
+
+    half = drift(equations.angular_frequency, equations.damping_ratio, duration / 2)
+    q, v = half(*jnp.split(state - at(phase), 2))
+    if equations.stops:
+        contact = contact_of(equations, 0)
+        forced_q, forced_v = jnp.split(at(phase_middle), 2)
+        depth = contact.towards @ (q + forced_q) - contact.gap
+        impulse, _ = kick(contact, depth, contact.towards @ (v + forced_v), duration)
+        v = v - contact.push @ impulse
+    return jnp.concatenate(half(q, v)) + at(phase_end)
+
+
+class _Carry(NamedTuple):
+    q: Array
+    v: Array
+    wave: Array
+    measures: Measures | None
+
+
+def march(
+    equations: LinearEquations,
+    amplitude: Complex[Array, "*lanes"],
+    angular_frequency: Float[Array, "*lanes"],
+    state: Float[Array, "states *lanes"],
+    periods: Int[Array, "*lanes"],
+    steps: Int[Array, ""],
+    *,
+    observe: bool = False,
+) -> tuple[Float[Array, "states *lanes"], Int[Array, "*lanes"], Measures | None]:
+    """March every lane over its number of drive periods in `steps` equal steps a period.
+
+    The drifts of neighbouring steps are one. Returns the states (q, q'), steps, and the measures.
+    """
+    lanes = angular_frequency.ndim
+    contact = contact_of(equations, lanes)
+    modes = equations.angular_frequency.shape[0]
+    w = spread(equations.angular_frequency, 1, lanes)
+    zeta = spread(equations.damping_ratio, 1, lanes)
+    tip = spread(equations.response_map, 1, lanes)
+    h = 2 * jnp.pi / angular_frequency / steps
+    whole, half, back = drift(w, zeta, h), drift(w, zeta, h / 2), drift(w, zeta, -h / 2)
+    forced = steady(equations, amplitude, angular_frequency)
+    seen = _apply(contact.towards, forced[:modes])
+    seen_rate = 1j * angular_frequency * seen
+    tip_forced = jnp.sum(tip * forced[:modes], axis=0)
+    turn = angular_frequency * h
+    spin = jnp.cos(turn), jnp.sin(turn)
+
+    def real(value, wave):
+        return value.real * wave[0] + value.imag * wave[1]
+
+    def depth_of(q, v, wave):
+        depth = _apply(contact.towards, q) + real(seen, wave) - contact.gap
+        return depth, _apply(contact.towards, v) + real(seen_rate, wave)
+
+    def tips(q, v, wave):
+        y = jnp.sum(tip * q, axis=0) + real(tip_forced, wave)
+        return y, jnp.sum(tip * v, axis=0) + real(1j * angular_frequency * tip_forced, wave)
+
+    def one(i, carry, live):
+        # The carry stands in the middle of step i, just before its kick.
+        q, v, wave, measures = carry
+        depth, rate = depth_of(q, v, wave)
+        if contact.stops:
+            impulse, _ = computed_once(i, lambda: kick(contact, depth, rate, h))
+            kicked = v - _apply(contact.push, impulse)
+        else:
+            kicked = v
+        q1, v1 = whole(q, kicked)
+        wave1 = jnp.stack(
+            [wave[0] * spin[0] + wave[1] * spin[1], wave[1] * spin[0] - wave[0] * spin[1]]
+        )
+        if measures is not None:
+            (y0, s0), (y1, s1) = tips(q, kicked, wave), tips(q1, v1, wave1)
+            entered = jnp.zeros(live.shape, jnp.int32)
+            force, touches = jnp.zeros_like(y0), jnp.zeros(live.shape, bool)
+            if contact.stops:
+                depth1, rate1 = depth_of(q1, v1, wave1)
+                f0, k0, _ = forces(contact, depth, rate)
+                f1, k1, _ = forces(contact, depth1, rate1)
+                peak = cubic_maximum(f0, k0 * rate * h, f1, k1 * rate1 * h)
+                force = jnp.max(peak, axis=0)
+                touches = jnp.any(depth > 0, axis=0)
+                entered = jnp.sum((depth <= 0) & (depth1 > 0), axis=0, dtype=jnp.int32)
+            angle = (i + 0.5) * turn
+            part = Segment(h, angle, angular_frequency, (y0, y1), (s0, s1), force, touches, entered)
+            measures = measures.add(part, live)
+        return _Carry(q1, v1, wave1, measures)
+
+    def period(carry):
+        x, done, measures = carry
+        live = done < periods
+        zero, unit = jnp.zeros_like(h), jnp.ones_like(h)
+        q, v = half(*jnp.split(x - real(forced, (zero, unit)), 2))
+        start = jnp.stack([jnp.sin(turn / 2), jnp.cos(turn / 2)])
+        begin = _Carry(q, v, start, measures)
+        end = lax.fori_loop(0, steps, lambda i, c: one(i, c, live), begin)
+        x1 = jnp.concatenate(back(end.q, end.v)) + real(forced, (zero, unit))
+        return jnp.where(live, x1, x), done + live, end.measures
+
+    zero = jnp.zeros(angular_frequency.shape, jnp.int32)
+    first = no_measures(jnp.zeros_like(angular_frequency)) if observe else None
+    target = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), zero.shape)
+    periods = target
+    start = (jnp.broadcast_to(state, (2 * modes, *zero.shape)), zero, first)
+    end, done, measures = lax.while_loop(lambda c: jnp.any(c[1] < periods), period, start)
+    return end, done * steps, measures
