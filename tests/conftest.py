@@ -10,7 +10,10 @@ _hook = install_import_hook("vibrojax", "beartype.beartype")
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # exact_propagation, the oracle
 
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
 import pytest  # noqa: E402
+from exact_propagation import Problem  # noqa: E402
 
 import vibrojax as vj  # noqa: E402
 
@@ -47,3 +50,60 @@ def make_rig(
 def rig():
     """Builder of the default rig with any of its numbers changed by name."""
     return make_rig
+
+
+def make_oscillator(
+    *,
+    frequency=1.0,
+    damping_ratio=0.0,
+    stiffness=50.0,
+    damping=0.0,
+    gap=1.0,
+    mass=1.0,
+    tension=True,
+    sides=(1,),
+) -> vj.LinearEquations:
+    """One mass (kg) on a spring, natural frequency in rad/s, with a stop on each of the sides."""
+    law = vj.KelvinVoigt(stiffness, damping, tension)
+    towards = np.array(sides, float)[:, None]
+    return vj.LinearEquations(
+        stops=tuple(vj.Stop(1.0, gap, law, side=side) for side in sides),
+        angular_frequency=jnp.asarray([frequency], float),
+        damping_ratio=jnp.asarray([damping_ratio], float),
+        input_map=jnp.ones(1) / mass,
+        stop_map=jnp.asarray(towards),
+        force_map=jnp.asarray(towards.T / mass),
+        response_map=jnp.ones(1),
+        modal_mass=mass * jnp.ones(1),
+    )
+
+
+def make_problem(rig: vj.ImpactingBeam) -> Problem:
+    """The same rig for the oracle `exact_propagation`: a beam with one stop, driven at its base."""
+    equations, (stop,) = rig.equations(), rig.stops
+    return Problem(
+        angular_frequency=np.asarray(equations.angular_frequency),
+        damping_ratio=np.asarray(equations.damping_ratio),
+        modal_mass=np.asarray(equations.modal_mass),
+        participation=np.asarray(equations.input_map),
+        shape_at_stop=stop.side * np.asarray(equations.stop_map[0]),
+        shape_at_tip=np.asarray(equations.response_map),
+        gap=float(stop.gap),
+        stiffness=float(stop.law.stiffness),
+        damping=float(stop.law.damping),
+        base_amplitude=float(rig.drive.amplitude),
+        side=float(stop.side),
+        tension=stop.law.tension,
+    )
+
+
+@pytest.fixture(scope="session")
+def oscillator():
+    """Builder of the equations of one mass, any of its numbers changed by name."""
+    return make_oscillator
+
+
+@pytest.fixture(scope="session")
+def problem():
+    """Translator of a rig for the oracle."""
+    return make_problem

@@ -177,6 +177,9 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         matrix = from_state[other] @ to_state[p]
         change = change.at[p, s].set(matrix)
         change_rest = change_rest.at[p, s].set(matrix @ rest[p] - rest[other])
+    at_rest = jnp.einsum("prs,ps->pr", readout, rest) - offset
+    # Block coordinates count from rest, where nothing accelerates.
+    at_rest = at_rest.at[:, 2 * count : 3 * count].set(0.0)
     root_mass = jnp.sqrt(equations.modal_mass)
     return ContactPhases(
         exponent=exponent,
@@ -187,7 +190,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         rest=rest,
         input=drive,
         readout=readout,
-        readout_rest=jnp.einsum("prs,ps->pr", readout, rest) - offset,
+        readout_rest=at_rest,
         change=change,
         change_rest=change_rest,
         towards_stop=places,
