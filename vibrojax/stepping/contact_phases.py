@@ -235,4 +235,7 @@ def spread(table: Array, rank: int, lanes: int) -> Array:
 def contact_rates(phases: ContactPhases) -> Float[Array, "*lanes"]:
     """Lowest angular frequency with all stops in contact, rad/s: sets how finely to look."""
     rates = phases.rate[-1]
-    return jnp.min(jnp.where(rates > 0, rates, np.inf), axis=0)
+    lowest = jnp.min(jnp.where(rates > 0, rates, np.inf), axis=0)
+    # Where every pair is real: their rate without damping.
+    undamped = jnp.sqrt(jnp.maximum(jnp.prod(phases.exponent[-1], axis=0), 0.0))
+    return jnp.where(jnp.isfinite(lowest), lowest, jnp.max(undamped, axis=0))
