@@ -9,7 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from vibrojax._checks import nearest
 from vibrojax.modes import Modes
@@ -17,15 +19,15 @@ from vibrojax.results.frequency_response import CURVES, FrequencyResponse
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES
 
-SIZE, DPI = (10.0, 6.0), 150  # inches and dots per inch: 1500 pixels wide
+SIZE, DPI = (10.0, 6.4), 150  # inches and dots per inch: 1500 pixels wide
 LABEL, SMALL = 13, 11  # points
-FORWARD, BACKWARD = "#0060a8", "#d1590a"
+COLORS = {"forward": "#0060a8", "backward": "#d1590a"}
 GREY = "#555555"
 MARKERS = {"forward": ">", "backward": "<"}
 STYLES = {"forward": "-", "backward": (0, (5, 1.6))}
-WORDS = {"forward": "forward (frequency rising)", "backward": "backward (frequency falling)"}
-MAX_MARKERS = 28
-"""Markers on a line that show its direction; all points of short sweeps have one."""
+WORDS = {"forward": "forward sweep", "backward": "backward sweep"}
+MAX_MARKERS = 30
+"""Markers on a line that show its direction; every point of a short sweep has one."""
 MAX_LINES = 8
 """Lines that a legend names one by one; more get a colour bar."""
 LINE_STYLES = ("-", (0, (6, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
@@ -41,7 +43,8 @@ class Picture(Figure):
 
 
 def _picture() -> tuple[Picture, Axes]:
-    figure = Picture(figsize=SIZE, dpi=DPI, layout="constrained")
+    margins = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)
+    figure = Picture(figsize=SIZE, dpi=DPI, layout=margins)
     axes = figure.add_subplot()
     axes.grid(True, color="#d9d9d9", linewidth=0.7)
     axes.set_axisbelow(True)
@@ -87,11 +90,6 @@ def plot_frequency_response(
     if chosen:
         title = ", ".join(f"{name} = {value:g}" for name, value in chosen.items())
         axes.set_title(title, fontsize=LABEL, loc="left")
-    if variable == "status":
-        axes.set_yticks([s.value for s in Status], [s.name for s in Status])
-    elif variable not in ("period", "jump_up"):
-        low, high = axes.get_ylim()
-        axes.set_ylim(min(0.0, low) if low > -0.1 * high else low, high)
     return figure
 
 
@@ -140,15 +138,16 @@ class _Lane:
         self.status = np.asarray(response.status)[index]
         amplitude = np.asarray(response.amplitude_ratio)[index]
         self.natural_frequency = float(np.asarray(response.natural_frequency)[index])
-        self.jumps: dict[str, tuple[float, int]] = {}  # direction: where, after which point
-        for jump in (response.jump_up, response.jump_down):
-            where = float(np.asarray(jump)[index])
+        self.jumps: dict[str, tuple[float, int, str]] = {}
+        """Of a direction: where it jumps, after which point, and the name of the jump."""
+        for name in ("jump_up", "jump_down"):
+            where = float(np.asarray(getattr(response, name))[index])
             if np.isfinite(where) and len(self.frequencies) > 1:
                 n = len(self.frequencies)
                 at = int(np.clip(np.searchsorted(self.frequencies, where) - 1, 0, n - 2))
                 change = np.abs(amplitude[:, at + 1] - amplitude[:, at])
                 taker = self.directions[int(np.nanargmax(np.nan_to_num(change, nan=-1.0)))]
-                self.jumps[taker] = (where, at)
+                self.jumps[taker] = (where, at, name.replace("_", " "))
 
     def curve(self, direction: str) -> np.ndarray:
         return self.curves[self.directions.index(direction)]
@@ -157,7 +156,14 @@ class _Lane:
         return self.status[self.directions.index(direction)] == status.value
 
 
-def _draw_curve(axes: Axes, lane: _Lane, direction: str, color: Any, stagger: int) -> None:
+def _draw_curve(
+    axes: Axes,
+    lane: _Lane,
+    direction: str,
+    color: Any,
+    stagger: int,
+    most_markers: int = MAX_MARKERS,
+) -> None:
     x, y = lane.frequencies, lane.curve(direction)
     settled = lane.of_status(direction, Status.settled)
     line_x, line_y = x, y
@@ -165,7 +171,7 @@ def _draw_curve(axes: Axes, lane: _Lane, direction: str, color: Any, stagger: in
         at = lane.jumps[direction][1] + 1
         line_x, line_y = np.insert(x, at, x[at]), np.insert(y, at, np.nan)
     axes.plot(line_x, line_y, color=color, linestyle=STYLES[direction], linewidth=1.8)
-    every = max(1, -(-len(x) // MAX_MARKERS))
+    every = max(1, -(-len(x) // most_markers))
     shown = np.zeros(len(x), bool)
     shown[stagger * every // 2 :: every] = True
     marks = {"marker": MARKERS[direction], "linestyle": "none", "color": color}
@@ -179,25 +185,49 @@ def _draw_curve(axes: Axes, lane: _Lane, direction: str, color: Any, stagger: in
         axes.plot(x[gone], np.full(gone.sum(), 0.02), transform=at_bottom, markersize=8, **marks)
 
 
-def _draw_jump(axes: Axes, lane: _Lane, direction: str, color: Any) -> tuple[float, float] | None:
-    """Draw a jump as a dashed arrow; return where it is and the height of its upper end."""
-    if direction not in lane.jumps:
-        return None
-    where, at = lane.jumps[direction]
-    start, end = lane.curve(direction)[[at, at + 1]]
-    if direction == "backward":
-        start, end = end, start
+def _draw_jump(axes: Axes, lane: _Lane, direction: str, color: Any) -> None:
+    """Draw a jump as a dashed arrow from branch to branch, behind the curves."""
+    where, at, _ = lane.jumps[direction]
+    x, y = lane.frequencies[[at, at + 1]], lane.curve(direction)[[at, at + 1]]
+    path = [x[0], where, where, x[1]], [y[0], y[0], y[1], y[1]]
+    axes.plot(*path, color=color, linestyle=(0, (3, 2)), linewidth=1.3, zorder=1.8)
+    start, end = y if direction == "forward" else y[::-1]
     if not np.isfinite([start, end]).all():
-        return None
-    axes.plot([where, where], [start, end], color=color, linestyle=(0, (3, 2)), linewidth=1.3)
-    middle = (start + end) / 2
+        return
+    middle, reach = (start + end) / 2, 0.04 * (end - start)
     axes.annotate(
         "",
-        xy=(where, middle + 0.04 * (end - start)),
-        xytext=(where, middle - 0.04 * (end - start)),
+        xy=(where, middle + reach),
+        xytext=(where, middle - reach),
         arrowprops={"arrowstyle": "-|>", "color": color, "mutation_scale": 20, "linewidth": 0},
+        zorder=1.9,
     )
-    return where, max(start, end)
+
+
+def _label_jumps(axes: Axes, jumps: list[tuple[float, str, Any]]) -> None:
+    """Write the jumps, (where, text, colour), along the top, on the sides away from each other."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.1 * (high - low))
+    left, right = axes.get_xlim()
+    row = 0
+    for k, (where, text, color) in enumerate(sorted(jumps, key=lambda jump: jump[0])):
+        place = (where - left) / (right - left)
+        wanted = k == 0 and len(jumps) > 1
+        to_left = place > 0.78 or (wanted and place > 0.22)
+        # Pushed by an edge of the picture to the side of the other label: a row lower.
+        row += int(to_left != wanted)
+        axes.axvline(where, color=color, linestyle=":", linewidth=1.0, alpha=0.7, zorder=1.5)
+        axes.annotate(
+            text,
+            xy=(where, 0.98 - 0.06 * row),
+            xycoords=axes.get_xaxis_transform(),
+            xytext=(-7 if to_left else 7, 0),
+            textcoords="offset points",
+            ha="right" if to_left else "left",
+            va="top",
+            fontsize=LABEL - 1,
+            color=color,
+        )
 
 
 def _single(
@@ -208,35 +238,36 @@ def _single(
     index: tuple[Any, ...],
 ) -> None:
     lane = _Lane(response, variable, index)
-    colors = {"forward": FORWARD, "backward": BACKWARD}
+    unit = " Hz" if response.axis == "frequency" else ""
+    written = []
     for stagger, direction in enumerate(directions):
-        color = colors[direction]
+        color = COLORS[direction]
         _draw_curve(axes, lane, direction, color, stagger)
-        drawn = _draw_jump(axes, lane, direction, color)
-        if drawn is None:
-            continue
-        where = drawn[0]
-        start, end = lane.curve(direction)[[lane.jumps[direction][1], lane.jumps[direction][1] + 1]]
-        unit = " Hz" if response.axis == "frequency" else ""
-        # Beside the arrow, outside the loop that the two jumps enclose.
-        right = direction == "forward"
-        axes.annotate(
-            f"jump at {where:.5g}{unit}",
-            xy=(where, (start + end) / 2),
-            xytext=(10 if right else -10, 0),
-            textcoords="offset points",
-            ha="left" if right else "right",
-            va="center",
-            fontsize=LABEL - 1,
-            color=color,
-        )
-    _legend(axes, lane.directions, [lane], directions, colors)
+        if direction in lane.jumps:
+            _draw_jump(axes, lane, direction, color)
+            where, _, name = lane.jumps[direction]
+            written.append((where, f"{name} {where:.5g}{unit}", color))
+    _from_zero(axes, variable)
+    _label_jumps(axes, written)
+    _legend(axes, lane.directions, [lane], directions, COLORS)
     if response.axis == "frequency_ratio":
         unit = lane.natural_frequency
         hertz = axes.secondary_xaxis("top", functions=(lambda r: r * unit, lambda f: f / unit))
         hertz.set_xlabel(_label("frequency"), fontsize=SMALL, color=GREY)
         hertz.tick_params(labelsize=SMALL, colors=GREY)
         hertz.spines["top"].set_color(GREY)
+
+
+def _from_zero(axes: Axes, variable: str) -> None:
+    """Let an axis of sizes begin at zero, and name the values of a status."""
+    if variable == "status":
+        shown = (Status.settled, Status.aperiodic, Status.diverged)
+        axes.set_yticks([s.value for s in shown], [s.name for s in shown])
+    elif variable == "period":
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    else:
+        top = max(axes.get_ylim()[1], 1e-12)
+        axes.set_ylim(-0.02 * top, top)  # markers at zero are seen whole
 
 
 def _family(
@@ -267,10 +298,12 @@ def _family(
         lane = _Lane(response, variable, (*index[:place], k, *index[place + 1 :]))
         lanes.append(lane)
         for stagger, direction in enumerate(directions):
-            _draw_curve(axes, lane, direction, shade, stagger)
-            _draw_jump(axes, lane, direction, shade)
+            _draw_curve(axes, lane, direction, shade, stagger, MAX_MARKERS // 2)
+            if direction in lane.jumps:
+                _draw_jump(axes, lane, direction, shade)
     lines = [] if many else [Line2D([], [], color=shade, linewidth=3) for shade in shades]
     labels = [] if many else [f"{name} = {v:g}" for v in values]
+    _from_zero(axes, variable)
     grey = dict.fromkeys(directions, GREY)
     _legend(axes, response.directions, lanes, directions, grey, (lines, labels))
 
@@ -297,7 +330,7 @@ def _legend(
         rows = [swept.index(d) for d in directions]
         return sum(int((lane.status[rows] == status.value).sum()) for lane in lanes)
 
-    if any(d in lane.jumps for lane in lanes for d in directions):
+    if len(lanes) > 1 and any(d in lane.jumps for lane in lanes for d in directions):
         add("jump", color=GREY, linestyle=(0, (3, 2)), linewidth=1.3)
     marks = {"color": GREY, "linestyle": "none", "markersize": 8}
     if count(Status.aperiodic):
@@ -305,7 +338,27 @@ def _legend(
         add(f"no period found ({count(Status.aperiodic)} points)", marker=">", **hollow, **marks)
     if count(Status.diverged):
         add(f"diverged ({count(Status.diverged)} points)", marker="x", **marks)
-    axes.legend(lines, labels, fontsize=SMALL, framealpha=0.9, handlelength=3.2)
+    _outside_legend(axes, lines, labels)
+
+
+def _outside_legend(axes: Axes, lines: list[Line2D], labels: list[str]) -> None:
+    """Put the legend below the axes, where it covers nothing."""
+    columns = next(n for n in range(len(labels), 0, -1) if n == 1 or _width(labels, n) < 0.95)
+    axes.figure.legend(
+        lines,
+        labels,
+        loc="outside lower center",
+        ncols=columns,
+        fontsize=SMALL,
+        frameon=False,
+        handlelength=3.4,
+    )
+
+
+def _width(labels: list[str], columns: int) -> float:
+    """Return the width of a legend with so many columns over that of the picture, about."""
+    lengths = np.array_split([len(label) for label in labels], columns)
+    return sum(0.085 * max(column) + 0.95 for column in lengths) / SIZE[0]
 
 
 def plot_modes(modes: Modes) -> Figure:
@@ -337,5 +390,6 @@ def plot_modes(modes: Modes) -> Figure:
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("Place along the beam x/length (0 root, 1 tip)", fontsize=LABEL)
     axes.set_ylabel("Mode shape, largest displacement 1", fontsize=LABEL)
-    axes.legend(fontsize=SMALL, framealpha=0.9, handlelength=3.2)
+    lines, labels = axes.get_legend_handles_labels()
+    _outside_legend(axes, lines, labels)
     return figure
