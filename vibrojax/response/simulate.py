@@ -10,7 +10,7 @@ from jaxtyping import ArrayLike
 from vibrojax._checks import check_choice, check_count, check_positive, concrete
 from vibrojax.drive import AbstractWaveform, Harmonic
 from vibrojax.results.history import History
-from vibrojax.stepping.choice import choose_method
+from vibrojax.stepping.choice import choose_method, prepare_motion
 from vibrojax.stepping.method import AbstractMethod, ExactContact
 from vibrojax.systems.base import (
     AbstractSystem,
@@ -50,7 +50,7 @@ def motion(
             frequency = natural * (1.0 if frequency_ratio is None else frequency_ratio)
         waveform = Harmonic(frequency)
     drive, waveform = as_arrays(system.drive), as_arrays(waveform)
-    return Motion(equations, drive, waveform)
+    return Motion(equations, drive, waveform, prepare_motion(system, equations))
 
 
 def simulate(
@@ -104,7 +104,9 @@ def simulate(
     length, per_period, intervals = _grid(period, periods, duration, samples_per_period, samples)
     times = length * jnp.linspace(0.0, 1.0, intervals + 1)
     state = _initial_state(system, run, initial_state, release)
-    solver = solver or choose_method(system, None, tolerance, None)
+    method = solver if isinstance(solver, AbstractMethod) else None
+    if solver is None or method is not None:
+        solver = choose_method(system, method, tolerance, None)
     if isinstance(solver, AbstractMethod):
         if isinstance(solver, ExactContact) and gradient == "reverse" and not solver.max_attempts:
             solver = ExactContact(solver.tolerance, solver.steps_per_period, ATTEMPTS)

@@ -1,8 +1,23 @@
 """Which method suits a system."""
 
-from vibrojax.stepping.contact_phases import MAX_STOPS
+import equinox as eqx
+
+from vibrojax.contact import Stop
+from vibrojax.stepping.contact_phases import MAX_STOPS, ContactPhases, contact_phases
 from vibrojax.stepping.method import AbstractMethod, ExactContact, ExponentialSplitting
-from vibrojax.systems.base import AbstractSystem
+from vibrojax.systems.base import AbstractEquations, AbstractSystem, LinearEquations
+
+
+def _stops(system: AbstractSystem) -> tuple[Stop, ...]:
+    """Stops of a system, with their numbers concrete where the system holds them itself."""
+    if hasattr(system, "stops"):
+        return system.stops
+    return eqx.filter_eval_shape(system.equations).stops
+
+
+def _is_exact(system: AbstractSystem) -> bool:
+    stops = _stops(system)
+    return all(stop.is_linear for stop in stops) and len(stops) <= MAX_STOPS
 
 
 def choose_method(
@@ -15,14 +30,23 @@ def choose_method(
 
     Raises `ValueError` when the method asked for cannot do the stops.
     """
-    stops = getattr(system, "stops", ())
-    exact = all(stop.is_linear for stop in stops) and len(stops) <= MAX_STOPS
+    exact = _is_exact(system)
     if isinstance(method, ExactContact) and not exact:
         raise ValueError(
             f"ExactContact needs at most {MAX_STOPS} stops that are linear in contact, with no "
-            "smoothing. Use method=ExponentialSplitting(), or leave method out."
+            "smoothing. Use ExponentialSplitting(), or leave the method to vibrojax."
         )
     if method is not None:
         return method
     kind = ExactContact if exact else ExponentialSplitting
     return kind(tolerance, steps_per_period)
+
+
+_contact_phases = eqx.filter_jit(contact_phases)
+
+
+def prepare_motion(system: AbstractSystem, equations: AbstractEquations) -> ContactPhases | None:
+    """Compute the phases of `ExactContact` where that method suits the system."""
+    if isinstance(equations, LinearEquations) and _is_exact(system):
+        return _contact_phases(equations)
+    return None

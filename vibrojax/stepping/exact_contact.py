@@ -404,24 +404,44 @@ def march(
     with fewer periods behind it, and its state is NaN: the caller flags it.
     """
     loop = _Loop(phases, force, observe)
-    flight = enter(loop, state)
-    longest = loop.next_step(flight.reading, flight.phase, loop.period)
-    flight = flight._replace(step=jnp.broadcast_to(longest, loop.period.shape))
     target = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), loop.period.shape)
-    grid = jnp.ceil(loop.period / force.longest_step)
-    budget = (target * jnp.minimum(RETRIES * grid, 1e7)).astype(jnp.int32)
+    flight = _run(loop, state, loop.period, target, None)
+    end = leave(loop, flight, flight.time)
+    end = jnp.where(flight.finished >= target, end, jnp.nan)
+    return end, flight.attempts, flight.measures
+
+
+def _run(
+    loop: _Loop,
+    state: Float[Array, "states *lanes"],
+    duration: Float[Array, "*lanes"],
+    target: Int[Array, "*lanes"],
+    max_attempts: int | None,
+) -> Flight:
+    """Fly every lane `target` times over the duration, starting each time at drive time 0."""
+    flight = enter(loop, state)
+    first = loop.next_step(flight.reading, flight.phase, duration)
+    flight = flight._replace(step=jnp.broadcast_to(first, flight.time.shape))
+    longest = loop.force.longest_step
+    grid = jnp.ceil(duration / jnp.where(longest > 0, longest, 1.0))
+    budget = (target * jnp.clip(RETRIES * grid, RETRIES, 1e7)).astype(jnp.int32)
 
     def live(flight):
         return (flight.finished < target) & (flight.attempts < budget)
 
-    def body(carry):
-        flight, tick = carry
-        return loop.attempt(flight, live(flight), tick, loop.period), tick + 1
+    def attempt(flight, tick):
+        return loop.attempt(flight, live(flight), tick, duration)
 
-    flight, _ = lax.while_loop(lambda c: jnp.any(live(c[0])), body, (flight, jnp.int32(0)))
-    end = leave(loop, flight, flight.time)
-    end = jnp.where(flight.finished >= target, end, jnp.nan)
-    return end, flight.attempts, flight.measures
+    if max_attempts is None:
+        flight, _ = lax.while_loop(
+            lambda carry: jnp.any(live(carry[0])),
+            lambda carry: (attempt(*carry), carry[1] + 1),
+            (flight, jnp.int32(0)),
+        )
+    else:
+        ticks = jnp.arange(max_attempts, dtype=jnp.int32)
+        flight, _ = lax.scan(lambda f, tick: (attempt(f, tick), None), flight, ticks)
+    return flight
 
 
 def step_from(
@@ -430,46 +450,55 @@ def step_from(
     state: Float[Array, " states"],
     start: Float[Array, ""],
     duration: Float[Array, ""],
-    tolerance: float,
+    tolerance: Float[ArrayLike, ""],
     max_attempts: int | None,
 ) -> Float[Array, " states"]:
     """Advance one lane from a time (s) over a duration, for any waveform.
 
     Harmonic drives are exact; of a chirp the step takes the frequency and amplitude of its middle.
-    With `max_attempts` the loop has that fixed length, which reverse mode can differentiate.
-    The state is NaN if the attempts did not suffice.
+    With `max_attempts` the loop has that fixed length, which reverse mode can differentiate; else
+    `vmap` runs the lanes in one loop with the layout of `march`. The state is NaN if the attempts
+    did not suffice.
     """
-    phase, _, _ = motion.waveform.phase(start)
-    phase_end, _, _ = motion.waveform.phase(start + duration)
-    _, rate, second = motion.waveform.phase(start + duration / 2)
-    angular_frequency = (phase_end - phase) / duration
-    step = longest_step(phases, angular_frequency, tolerance, None)
-    force = forcing(
-        phases,
-        motion.drive.complex_amplitude(rate, second),
-        angular_frequency,
-        phase - 2 * jnp.pi * jnp.round(phase / (2 * jnp.pi)),
-        jnp.minimum(step, duration),
-        tolerance / 2,
-    )
-    loop = _Loop(phases, force, observe=False)
-    flight = enter(loop, state)
-    flight = flight._replace(step=loop.next_step(flight.reading, flight.phase, duration))
-
-    def attempt(flight, tick):
-        return loop.attempt(flight, flight.finished < 1, tick, duration)
-
+    numbers = phases, motion.drive, motion.waveform, state, start, duration, tolerance
+    numbers = jax.tree.map(lambda a: jnp.asarray(a, float), numbers)
     if max_attempts is None:
-        budget = RETRIES * jnp.ceil(duration / force.longest_step)
+        return _step(*numbers)
+    return _step_lanes(*numbers, max_attempts=max_attempts)
 
-        def unfinished(flight):
-            return (flight.finished < 1) & (flight.attempts < budget)
 
-        flight = lax.while_loop(unfinished, lambda f: attempt(f, f.attempts), flight)
-    else:
-        ticks = jnp.arange(max_attempts, dtype=jnp.int32)
-        flight, _ = lax.scan(lambda f, i: (attempt(f, i), None), flight, ticks)
+def _step_lanes(
+    phases, drive, waveform, state, start, duration, tolerance, *, max_attempts=None, lanes=()
+):
+    phase, _, _ = waveform.phase(start)
+    _, rate, second = waveform.phase(start + duration / 2)
+    start_phase = phase - 2 * jnp.pi * jnp.round(phase / (2 * jnp.pi))
+    amplitude = drive.complex_amplitude(rate, second)
+    amplitude, rate, start_phase, duration = (
+        jnp.broadcast_to(a, lanes) for a in (amplitude, rate, start_phase, duration)
+    )
+    state = spread(state, 1, len(lanes))
+    step = jnp.minimum(longest_step(phases, rate, tolerance, None), duration)
+    force = forcing(phases, amplitude, rate, start_phase, step, tolerance / 2)
+    loop = _Loop(phases, force, observe=False)
+    flight = _run(loop, state, duration, jnp.ones(lanes, jnp.int32), max_attempts)
     return jnp.where(flight.finished > 0, leave(loop, flight, duration), jnp.nan)
+
+
+@jax.custom_batching.custom_vmap
+def _step(*numbers):
+    return _step_lanes(*numbers)
+
+
+@_step.def_vmap
+def _step_batched(axis_size, in_batched, *numbers):
+    # Lanes go last, as the loop wants them: `vmap` itself would put them first, ten times slower.
+    lanes_last = jax.tree.map(
+        lambda is_batched, a: jnp.moveaxis(a, 0, -1) if is_batched else a,
+        tuple(in_batched),
+        numbers,
+    )
+    return jnp.moveaxis(_step_lanes(*lanes_last, lanes=(axis_size,)), -1, 0), True
 
 
 def longest_step(

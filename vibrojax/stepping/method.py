@@ -188,14 +188,19 @@ class ExactContact(AbstractMethod):
         if self.max_attempts is not None:
             check_count("max_attempts", self.max_attempts)
 
-    def init(self, terms, t0, t1, y0, args) -> ContactPhases:
-        """Compute the phases once, for diffrax."""
-        return contact_phases(_linear(_motion_of(args).equations, "ExactContact"))
+    def init(self, terms, t0, t1, y0, args) -> ContactPhases | None:
+        """Compute the phases once, for diffrax, unless `motion` has."""
+        run = _motion_of(args)
+        if run.prepared is not None:
+            return None
+        return contact_phases(_linear(run.equations, "ExactContact"))
 
     def advance(self, motion, start, duration, state, solver_state):
         """Advance with exact propagators, landing on every crossing in between."""
+        # As `args` the phases stay shared by the lanes of a vmap; as solver state they would not.
+        phases = solver_state if motion.prepared is None else motion.prepared
         return exact_contact.step_from(
-            solver_state, motion, state, start, duration, self.tolerance, self.max_attempts
+            phases, motion, state, start, duration, self.tolerance, self.max_attempts
         )
 
     def steps(self, motion: Motion) -> int:

@@ -7,7 +7,7 @@ from them once, before any stepping, so that nothing derived can go stale.
 """
 
 from abc import abstractmethod
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -192,6 +192,8 @@ class Motion(eqx.Module):
     equations: AbstractEquations
     drive: AbstractDrive
     waveform: AbstractWaveform
+    prepared: Any = None
+    """What a solver computes once for these equations (`ContactPhases`), or None."""
 
     def vector_field(
         self, time: Float[ArrayLike, ""], state: Float[Array, " two_coordinates"], args: object
