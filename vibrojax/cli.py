@@ -20,14 +20,16 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".svg", ".pdf")
 DEFAULT_RANGE = (0.8, 1.4, 121)
 
+# Lines that begin with a sign keep their breaks in the help of tyro.
 DESCRIPTION = """\
 Frequency responses of vibrating beams that hit stops.
 
-vibrojax sweep                      the default rig: table, sweep.nc, sweep.png
-vibrojax sweep rig.toml             your rig (see examples/uniform_beam.toml)
-vibrojax modes rig.toml             its natural frequencies
-vibrojax sweep --help               every option of a command
-vibrojax --version                  the version"""
+Try:
+$ vibrojax sweep             the default rig: a table, sweep.nc and sweep.png
+$ vibrojax sweep rig.toml    your rig (its file explained: examples/uniform_beam.toml)
+$ vibrojax modes rig.toml    its natural frequencies
+$ vibrojax sweep --help      every option of a command
+$ vibrojax --version         the version"""
 
 
 def _option(text: str, metavar: str, default: str) -> Any:
@@ -35,11 +37,11 @@ def _option(text: str, metavar: str, default: str) -> Any:
 
 
 _RIG_HELP = (
-    "rig file in TOML, explained line by line in examples/uniform_beam.toml; left out: the "
-    "default rig, a tapered cantilever 0.2 m long that hits one stop at mid-span"
+    "rig file in TOML, explained line by line in examples/uniform_beam.toml; the default is "
+    "a tapered cantilever 0.2 m long that hits one stop at mid-span"
 )
 _Rig = Annotated[
-    Path | None, tyro.conf.Positional, _option(_RIG_HELP, "RIG.toml", "the default rig")
+    Path | None, tyro.conf.Positional, _option(_RIG_HELP, "[RIG.toml]", "the default rig")
 ]
 _Range = tuple[float, float, int] | None
 
@@ -100,9 +102,10 @@ def sweep(
 ) -> int:
     """Sweep the drive frequency up and down; print the peak and jumps, write data and a picture.
 
-    vibrojax sweep
-    vibrojax sweep rig.toml --frequency 8 13 201
-    vibrojax sweep --frequency-ratio 1.0 1.3 61 --direction forward --picture none
+    Try:
+    $ vibrojax sweep
+    $ vibrojax sweep rig.toml --frequency 8 13 201
+    $ vibrojax sweep --frequency-ratio 1.0 1.3 61 --direction forward --picture none
     """
     started = time.perf_counter()
     data = _target("--output", output, (".nc",))
@@ -151,8 +154,9 @@ def modes(
 ) -> int:
     """Print the natural frequencies of the beam without its stops, modal masses, participation.
 
-    vibrojax modes
-    vibrojax modes rig.toml --num-modes 8 --picture modes.png --output modes.csv
+    Try:
+    $ vibrojax modes
+    $ vibrojax modes rig.toml --num-modes 8 --picture modes.png --output modes.csv
     """
     table = _target("--output", output, (".csv",))
     drawing = _target("--picture", picture, PICTURES)
@@ -271,9 +275,9 @@ def _watch_compilation() -> list[float]:
 
     seconds: list[float] = []
 
-    def listen(event: str, duration: float, **_: Any) -> None:
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         if event.endswith(("backend_compile_duration", "jaxpr_to_mlir_module_duration")):
-            seconds.append(duration)
+            seconds.append(duration_secs)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     return seconds
@@ -299,13 +303,17 @@ def _sweep_table(
     rows: list[tuple[str, str, str]] = [("", "ratio", "Hz")]
 
     def at(label: str, where: float) -> None:
-        both = (f"{where * hertz / natural:.5f}", f"{where * hertz:.4f}")
-        rows.append((label, *(both if np.isfinite(where) else ("none", ""))))
+        there = np.isfinite(where)
+        ratio = f"{where * hertz / natural:.5f}" if there else "none"
+        rows.append((label, ratio, f"{where * hertz:.4f}" if there else ""))
 
     at("first natural frequency", natural / hertz)
-    settled = np.isfinite(response.amplitude_ratio)
-    if settled.any():
-        at(f"peak, amplitude ratio {response.peak_amplitude_ratio:.5g}{unit}", _peak(response))
+    peak = np.nan
+    finite = bool(np.isfinite(response.amplitude_ratio).any())
+    if finite:
+        highest = np.nanmax(response.amplitude_ratio)
+        peak = float(response.frequencies[np.argwhere(response.amplitude_ratio == highest)[0, -1]])
+        at(f"peak, amplitude ratio {highest:.5g}{unit}", peak)
     at("jump up", float(response.jump_up))
     at("jump down", float(response.jump_down))
     at("hysteresis width", float(response.hysteresis_width))
@@ -315,11 +323,11 @@ def _sweep_table(
     def say(label: str, text: str) -> None:
         lines.append(f"  {label:{wide}}  {text}")
 
-    if settled.any():
+    if finite:
         if len(response.directions) == 2:
             of = "ratio x Hz" if response.axis == "frequency" else "ratio x ratio"
             say("hysteresis area", f"{float(response.hysteresis_area):9.5g}  {of}")
-        say("resonance shift", f"{100 * float(response.resonance_shift):+9.2f}  %")
+        say("resonance shift", f"{100 * (peak * hertz / natural - 1):+9.2f}  %")
         say("largest contact force", f"{np.nanmax(response.contact_force):9.5g}  N")
     status, period = np.asarray(response.status), np.asarray(response.period)
     counts = {s: int((status == s.value).sum()) for s in Status}
@@ -333,13 +341,6 @@ def _sweep_table(
     if written:
         say("written", ", ".join(written))
     return "\n".join(lines)
-
-
-def _peak(response: "FrequencyResponse") -> float:
-    import numpy as np
-
-    flat = int(np.nanargmax(response.amplitude_ratio))
-    return float(response.frequencies[flat % len(response.frequencies)])
 
 
 def _columns(found: "Modes") -> list[tuple[float, ...]]:

@@ -225,7 +225,7 @@ def _system(tables: dict[str, Any]) -> ImpactingBeam:
     stops = _stops(tables.get("stop", []))
     drive = _drive(tables["drive"]) if "drive" in tables else NoDrive()
     model = _check_keys("model", tables["model"], "[model]")
-    return _within("[model]", ImpactingBeam, beam, stops=stops, drive=drive, **model)
+    return _within("[model]", ImpactingBeam, beam=beam, stops=stops, drive=drive, **model)
 
 
 def _sweep_settings(tables: dict[str, Any]) -> dict[str, Any]:

@@ -67,7 +67,7 @@ def default_rig(
         mass_ratio=mass_ratio,
     )
     return ImpactingBeam(
-        beam,
+        beam=beam,
         stops=(Stop(position=position, gap=gap, law=KelvinVoigt(stiffness, damping)),),
         drive=BaseMotion(amplitude=base_amplitude),
         damping_ratio=damping_ratio,

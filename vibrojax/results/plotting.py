@@ -1,10 +1,13 @@
 """Pictures of results, drawn without a display and without pyplot."""
 
 import io
+import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
@@ -140,14 +143,20 @@ class _Lane:
         self.natural_frequency = float(np.asarray(response.natural_frequency)[index])
         self.jumps: dict[str, tuple[float, int, str]] = {}
         """Of a direction: where it jumps, after which point, and the name of the jump."""
+        found = []
         for name in ("jump_up", "jump_down"):
             where = float(np.asarray(getattr(response, name))[index])
             if np.isfinite(where) and len(self.frequencies) > 1:
-                n = len(self.frequencies)
-                at = int(np.clip(np.searchsorted(self.frequencies, where) - 1, 0, n - 2))
-                change = np.abs(amplitude[:, at + 1] - amplitude[:, at])
-                taker = self.directions[int(np.nanargmax(np.nan_to_num(change, nan=-1.0)))]
-                self.jumps[taker] = (where, at, name.replace("_", " "))
+                last = len(self.frequencies) - 2
+                at = int(np.clip(np.searchsorted(self.frequencies, where) - 1, 0, last))
+                change = np.nan_to_num(np.abs(amplitude[:, at + 1] - amplitude[:, at]))
+                found.append((change, (where, at, name.replace("_", " "))))
+        # A direction has one jump at most: give each jump the direction that changes there.
+        takers = list(itertools.permutations(range(len(self.directions)), len(found)))
+        if takers:
+            best = max(takers, key=lambda t: sum(f[0][k] for f, k in zip(found, t, strict=True)))
+            for (_, jump), k in zip(found, best, strict=True):
+                self.jumps[self.directions[k]] = jump
 
     def curve(self, direction: str) -> np.ndarray:
         return self.curves[self.directions.index(direction)]
@@ -209,13 +218,13 @@ def _label_jumps(axes: Axes, jumps: list[tuple[float, str, Any]]) -> None:
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.1 * (high - low))
     left, right = axes.get_xlim()
-    row = 0
-    for k, (where, text, color) in enumerate(sorted(jumps, key=lambda jump: jump[0])):
+    sides = []
+    for where, text, color in sorted(jumps, key=lambda jump: jump[0]):
         place = (where - left) / (right - left)
-        wanted = k == 0 and len(jumps) > 1
-        to_left = place > 0.78 or (wanted and place > 0.22)
-        # Pushed by an edge of the picture to the side of the other label: a row lower.
-        row += int(to_left != wanted)
+        lower_of_two = not sides and len(jumps) > 1
+        to_left = place > 0.78 or (lower_of_two and place > 0.22)
+        row = sides.count(to_left)  # pushed by an edge to the side of the other: a row lower
+        sides.append(to_left)
         axes.axvline(where, color=color, linestyle=":", linewidth=1.0, alpha=0.7, zorder=1.5)
         axes.annotate(
             text,
@@ -251,8 +260,9 @@ def _single(
     _label_jumps(axes, written)
     _legend(axes, lane.directions, [lane], directions, COLORS)
     if response.axis == "frequency_ratio":
-        unit = lane.natural_frequency
-        hertz = axes.secondary_xaxis("top", functions=(lambda r: r * unit, lambda f: f / unit))
+        natural = lane.natural_frequency
+        scales = (lambda r: np.asarray(r) * natural, lambda f: np.asarray(f) / natural)
+        hertz = axes.secondary_xaxis("top", functions=scales)
         hertz.set_xlabel(_label("frequency"), fontsize=SMALL, color=GREY)
         hertz.tick_params(labelsize=SMALL, colors=GREY)
         hertz.spines["top"].set_color(GREY)
@@ -330,18 +340,21 @@ def _legend(
         rows = [swept.index(d) for d in directions]
         return sum(int((lane.status[rows] == status.value).sum()) for lane in lanes)
 
+    def counted(status: Status) -> str:
+        return f"{count(status)} point{'s' if count(status) > 1 else ''}"
+
     if len(lanes) > 1 and any(d in lane.jumps for lane in lanes for d in directions):
         add("jump", color=GREY, linestyle=(0, (3, 2)), linewidth=1.3)
     marks = {"color": GREY, "linestyle": "none", "markersize": 8}
     if count(Status.aperiodic):
         hollow = {"markerfacecolor": "white", "markeredgewidth": 1.4}
-        add(f"no period found ({count(Status.aperiodic)} points)", marker=">", **hollow, **marks)
+        add(f"no period found ({counted(Status.aperiodic)})", marker=">", **hollow, **marks)
     if count(Status.diverged):
-        add(f"diverged ({count(Status.diverged)} points)", marker="x", **marks)
+        add(f"diverged ({counted(Status.diverged)})", marker="x", **marks)
     _outside_legend(axes, lines, labels)
 
 
-def _outside_legend(axes: Axes, lines: list[Line2D], labels: list[str]) -> None:
+def _outside_legend(axes: Axes, lines: Sequence[Artist], labels: list[str]) -> None:
     """Put the legend below the axes, where it covers nothing."""
     columns = next(n for n in range(len(labels), 0, -1) if n == 1 or _width(labels, n) < 0.95)
     axes.figure.legend(
