@@ -98,7 +98,7 @@ def check_choice(name: str, value: Any, choices: tuple[Any, ...]) -> None:
         _refuse(name, value, f"one of {listed}", "")
 
 
-def check_frequencies(name: str, values: Any, unit: str) -> jax.Array:
+def check_frequencies(name: str, values: Any, unit: str) -> np.ndarray:
     """Return a frequency axis as a 1-D array: finite, above 0, strictly increasing, not empty.
 
     Raises `ValueError` otherwise.
@@ -125,4 +125,4 @@ def check_frequencies(name: str, values: Any, unit: str) -> jax.Array:
             f"{name} must increase strictly, got {axis[bad]} then {axis[bad + 1]} at index "
             f"{bad + 1}. Sort it; the backward sweep is made for you."
         )
-    return jnp.asarray(axis)
+    return axis

@@ -1,6 +1,7 @@
 """Time histories of one lane."""
 
 import math
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -59,12 +60,12 @@ def simulate(
     frequency: ArrayLike | None = None,
     frequency_ratio: ArrayLike | None = None,
     waveform: AbstractWaveform | None = None,
-    periods: float | None = None,
-    duration: float | None = None,
+    periods: float | int | None = None,
+    duration: float | int | None = None,
     samples_per_period: int = 128,
     samples: int | None = None,
-    initial_state: tuple[ArrayLike, ArrayLike] | None = None,
-    release: float | None = None,
+    initial_state: tuple[Any, Any] | None = None,
+    release: ArrayLike | None = None,
     solver: diffrax.AbstractSolver | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     tolerance: float = 1e-6,

@@ -160,7 +160,7 @@ class History(eqx.Module):
 
     def plot(self, quantity: str = "displacement", position: ArrayLike = 1.0) -> "Figure":
         """Draw a quantity and the contact force against time."""
-        from vibrojax.results.plotting import plot_history
+        from vibrojax.results.history_plot import plot_history
 
         return plot_history(self, quantity, position)
 

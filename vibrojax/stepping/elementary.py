@@ -55,7 +55,9 @@ def cubic_maximum(
     curve = 3 * (end - start) - 2 * start_slope - end_slope
     bend = 2 * (start - end) + start_slope + end_slope
     # The stationary point that is a maximum, in the form that does not cancel when bend -> 0.
-    root = jnp.sqrt(jnp.maximum(curve**2 - 3 * bend * start_slope, 0.0))
+    square = curve**2 - 3 * bend * start_slope
+    # The derivative of a root that is not taken must be finite too.
+    root = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
     below = root - curve
     tiny = jnp.finfo(start.dtype).tiny
     inside = (start_slope > 0) & (below > 0)

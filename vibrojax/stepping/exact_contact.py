@@ -38,34 +38,34 @@ RETRIES = 40
 class Forcing(NamedTuple):
     """Tables of one drive frequency, split into sine and cosine, and the settings of the march."""
 
-    angular_frequency: Float[Array, "*lanes"]
-    start_phase: Float[Array, "*lanes"]
-    blocks: Complex[Array, "phases states *lanes"]
-    readout: Complex[Array, "phases rows *lanes"]
-    change: Complex[Array, "phases stops states *lanes"]
-    longest_step: Float[Array, "*lanes"]
-    depth_tolerance: Float[Array, "*lanes"]
+    angular_frequency: Float[Array, "*#lanes"]
+    start_phase: Float[Array, "*#lanes"]
+    blocks: Complex[Array, "phases states *#lanes"]
+    readout: Complex[Array, "phases rows *#lanes"]
+    change: Complex[Array, "phases stops states *#lanes"]
+    longest_step: Float[Array, "*#lanes"]
+    depth_tolerance: Float[Array, "*#lanes"]
 
 
 class Flight(NamedTuple):
     """Where a lane is: the carry of the loop."""
 
-    blocks: Float[Array, "2 blocks *lanes"]
-    phase: Int[Array, "*lanes"]
-    time: Float[Array, "*lanes"]
-    step: Float[Array, "*lanes"]
-    reading: Float[Array, "rows *lanes"]
-    finished: Int[Array, "*lanes"]
-    attempts: Int[Array, "*lanes"]
+    blocks: Float[Array, "2 blocks *#lanes"]
+    phase: Int[Array, "*#lanes"]
+    time: Float[Array, "*#lanes"]
+    step: Float[Array, "*#lanes"]
+    reading: Float[Array, "rows *#lanes"]
+    finished: Int[Array, "*#lanes"]
+    attempts: Int[Array, "*#lanes"]
     measures: Measures | None
 
 
 def forcing(
     phases: ContactPhases,
-    amplitude: Complex[Array, "*lanes"],
-    angular_frequency: Float[Array, "*lanes"],
-    start_phase: Float[Array, "*lanes"],
-    longest_step: Float[Array, "*lanes"],
+    amplitude: Complex[Array, "*#lanes"],
+    angular_frequency: Float[Array, "*#lanes"],
+    start_phase: Float[Array, "*#lanes"],
+    longest_step: Float[Array, "*#lanes"],
     event_tolerance: Float[ArrayLike, "*#lanes"],
 ) -> Forcing:
     """Tabulate what a harmonic input Im(amplitude exp(i phase)) does in every phase."""
@@ -96,7 +96,7 @@ def forcing(
     )
 
 
-def _pick(index: Int[Array, "*lanes"], table: Array) -> Array:
+def _pick(index: Int[Array, "*#lanes"], table: Array) -> Array:
     """Take the row of each lane: `where` for the usual two, which XLA fuses; no gather."""
     chosen = table[0]
     for i in range(1, table.shape[0]):
@@ -220,7 +220,7 @@ class _Loop:
         hidden = ~crossed & (below > tiny) & (top > 0.01) & (top < 0.99) & (height > tolerance)
         return jnp.min(jnp.where(crossed, u, jnp.where(hidden, top, 1.0)), axis=0, initial=1.0)
 
-    def attempt(self, flight: Flight, live: Bool[Array, "*lanes"], tick, until) -> Flight:
+    def attempt(self, flight: Flight, live: Bool[Array, "*#lanes"], tick, until) -> Flight:
         """Try one step in every live lane; `until` is the time at which a lane's run ends."""
         once = lambda f: computed_once(tick, f)  # noqa: E731
         force, phase, step = self.force, flight.phase, flight.step
@@ -347,7 +347,7 @@ class _Loop:
         )
 
 
-def enter(loop: _Loop, state: Float[Array, "states *lanes"]) -> Flight:
+def enter(loop: _Loop, state: Float[Array, "states *#lanes"]) -> Flight:
     """Put a state (q, q') at time 0 into block coordinates."""
     force, phases = loop.force, loop.phases
     zero = jnp.zeros_like(force.angular_frequency)
@@ -373,8 +373,8 @@ def enter(loop: _Loop, state: Float[Array, "states *lanes"]) -> Flight:
 
 
 def leave(
-    loop: _Loop, flight: Flight, time: Float[Array, "*lanes"]
-) -> Float[Array, "states *lanes"]:
+    loop: _Loop, flight: Flight, time: Float[Array, "*#lanes"]
+) -> Float[Array, "states *#lanes"]:
     """State (q, q') of a flight, at its time."""
     force, phases = loop.force, loop.phases
     wave = loop.phasor(time, 1.0)
@@ -392,11 +392,11 @@ def leave(
 def march(
     phases: ContactPhases,
     force: Forcing,
-    state: Float[Array, "states *lanes"],
-    periods: int | Int[Array, "*lanes"] = 1,
+    state: Float[Array, "states *#lanes"],
+    periods: int | Int[Array, "*#lanes"] = 1,
     *,
     observe: bool = False,
-) -> tuple[Float[Array, "states *lanes"], Int[Array, "*lanes"], Measures | None]:
+) -> tuple[Float[Array, "states *#lanes"], Int[Array, "*#lanes"], Measures | None]:
     """March every lane over its number of drive periods, each at its own pace.
 
     Returns the states (q, q'), the attempts made, and the measures where `observe` asks for them.
@@ -413,9 +413,9 @@ def march(
 
 def _run(
     loop: _Loop,
-    state: Float[Array, "states *lanes"],
-    duration: Float[Array, "*lanes"],
-    target: Int[Array, "*lanes"],
+    state: Float[Array, "states *#lanes"],
+    duration: Float[Array, "*#lanes"],
+    target: Int[Array, "*#lanes"],
     max_attempts: int | None,
 ) -> Flight:
     """Fly every lane `target` times over the duration, starting each time at drive time 0."""
@@ -486,11 +486,11 @@ def _step_lanes(
 
 
 @jax.custom_batching.custom_vmap
-def _step(*numbers):
+def _step_any_lanes(*numbers):
     return _step_lanes(*numbers)
 
 
-@_step.def_vmap
+@_step_any_lanes.def_vmap
 def _step_batched(axis_size, in_batched, *numbers):
     # Lanes go last, as the loop wants them: `vmap` itself would put them first, ten times slower.
     lanes_last = jax.tree.map(
@@ -501,12 +501,23 @@ def _step_batched(axis_size, in_batched, *numbers):
     return jnp.moveaxis(_step_lanes(*lanes_last, lanes=(axis_size,)), -1, 0), True
 
 
+@jax.custom_jvp
+def _step(*numbers):
+    return _step_any_lanes(*numbers)
+
+
+@_step.defjvp
+def _step_jvp(numbers, changes):
+    # A rule for vmap cannot be differentiated under another vmap: derivatives go without it.
+    return jax.jvp(_step_lanes, numbers, changes)
+
+
 def longest_step(
     phases: ContactPhases,
-    angular_frequency: Float[Array, "*lanes"],
+    angular_frequency: Float[Array, "*#lanes"],
     tolerance: Float[ArrayLike, "*#lanes"],
     steps_per_period: int | None,
-) -> Float[Array, "*lanes"]:
+) -> Float[Array, "*#lanes"]:
     """Longest step, s: short against a contact and against the drive period.
 
     Propagation is exact at any step; the step decides whether a short contact is seen. Twenty to a

@@ -27,22 +27,22 @@ lax = jax.lax
 class Drift(NamedTuple):
     """Exact flow of every mode over a time: (q, q') to (qq q + qv q', vq q + vv q')."""
 
-    qq: Float[Array, "modes *lanes"]
-    qv: Float[Array, "modes *lanes"]
-    vq: Float[Array, "modes *lanes"]
-    vv: Float[Array, "modes *lanes"]
+    qq: Float[Array, "modes *#lanes"]
+    qv: Float[Array, "modes *#lanes"]
+    vq: Float[Array, "modes *#lanes"]
+    vv: Float[Array, "modes *#lanes"]
 
     def __call__(
-        self, q: Float[Array, "modes *lanes"], v: Float[Array, "modes *lanes"]
-    ) -> tuple[Float[Array, "modes *lanes"], Float[Array, "modes *lanes"]]:
+        self, q: Float[Array, "modes *#lanes"], v: Float[Array, "modes *#lanes"]
+    ) -> tuple[Float[Array, "modes *#lanes"], Float[Array, "modes *#lanes"]]:
         """Advance displacements and velocities."""
         return self.qq * q + self.qv * v, self.vq * q + self.vv * v
 
 
 def drift(
-    angular_frequency: Float[Array, "modes *lanes"],
-    damping_ratio: Float[Array, "modes *lanes"],
-    time: Float[Array, "*lanes"],
+    angular_frequency: Float[Array, "modes *#lanes"],
+    damping_ratio: Float[Array, "modes *#lanes"],
+    time: Float[Array, "*#lanes"],
 ) -> Drift:
     """Compute the flow of q'' + 2 zeta w q' + w^2 q = 0 over `time`, any damping ratio."""
     w, zeta = angular_frequency, damping_ratio
@@ -61,9 +61,9 @@ def drift(
 
 def steady(
     equations: LinearEquations,
-    amplitude: Complex[Array, "*lanes"],
-    angular_frequency: Float[Array, "*lanes"],
-) -> Complex[Array, "states *lanes"]:
+    amplitude: Complex[Array, "*#lanes"],
+    angular_frequency: Float[Array, "*#lanes"],
+) -> Complex[Array, "states *#lanes"]:
     """Complex amplitude of (q, q') in the steady response without stops."""
     omega, lanes = angular_frequency, angular_frequency.ndim
     w = spread(equations.angular_frequency, 1, lanes)
@@ -77,10 +77,10 @@ class Contact(NamedTuple):
     """The stops as a kick sees them."""
 
     stops: tuple[Stop, ...]
-    towards: Float[Array, "stops modes *lanes"]
-    push: Float[Array, "modes stops *lanes"]
-    mobility: Float[Array, "stops stops *lanes"]
-    gap: Float[Array, "stops *lanes"]
+    towards: Float[Array, "stops modes *#lanes"]
+    push: Float[Array, "modes stops *#lanes"]
+    mobility: Float[Array, "stops stops *#lanes"]
+    gap: Float[Array, "stops *#lanes"]
 
 
 def contact_of(equations: LinearEquations, lanes: int) -> Contact:
@@ -102,8 +102,8 @@ def _apply(matrix, vector):
 
 
 def forces(
-    contact: Contact, depth: Float[Array, "stops *lanes"], rate: Float[Array, "stops *lanes"]
-) -> tuple[Float[Array, "stops *lanes"], ...]:
+    contact: Contact, depth: Float[Array, "stops *#lanes"], rate: Float[Array, "stops *#lanes"]
+) -> tuple[Float[Array, "stops *#lanes"], ...]:
     """Return the force of each stop, its slope in depth and its slope in rate."""
 
     def all_stops(depth, rate):
@@ -117,10 +117,10 @@ def forces(
 
 def kick(
     contact: Contact,
-    depth: Float[Array, "stops *lanes"],
-    rate: Float[Array, "stops *lanes"],
-    step: Float[Array, "*lanes"],
-) -> tuple[Float[Array, "stops *lanes"], Float[Array, "stops *lanes"]]:
+    depth: Float[Array, "stops *#lanes"],
+    rate: Float[Array, "stops *#lanes"],
+    step: Float[Array, "*#lanes"],
+) -> tuple[Float[Array, "stops *#lanes"], Float[Array, "stops *#lanes"]]:
     """Impulse of each stop in a step, and its force.
 
     The rate is taken in the middle of the kick, which for a linear dashpot is a linear equation:
@@ -142,7 +142,7 @@ def kick(
     return step * corrected, force
 
 
-def contact_rate(equations: LinearEquations) -> Float[Array, "*lanes"]:
+def contact_rate(equations: LinearEquations) -> Float[Array, "*#lanes"]:
     """Angular frequency of the contact points on their stops, rad/s: sets the step.
 
     Each stop counts with its slope at a tenth of the gap (or ten rounded widths).
@@ -161,7 +161,7 @@ def contact_rate(equations: LinearEquations) -> Float[Array, "*lanes"]:
 
 def steps_for(
     equations: LinearEquations,
-    angular_frequency: Float[Array, "*lanes"],
+    angular_frequency: Float[Array, "*#lanes"],
     tolerance: Float[Array, ""],
 ) -> Int[Array, ""]:
     """Steps per drive period for an error near the tolerance (measured: see benchmarks)."""
@@ -211,14 +211,14 @@ class _Carry(NamedTuple):
 
 def march(
     equations: LinearEquations,
-    amplitude: Complex[Array, "*lanes"],
-    angular_frequency: Float[Array, "*lanes"],
-    state: Float[Array, "states *lanes"],
-    periods: Int[Array, "*lanes"],
+    amplitude: Complex[Array, "*#lanes"],
+    angular_frequency: Float[Array, "*#lanes"],
+    state: Float[Array, "states *#lanes"],
+    periods: Int[Array, "*#lanes"],
     steps: Int[Array, ""],
     *,
     observe: bool = False,
-) -> tuple[Float[Array, "states *lanes"], Int[Array, "*lanes"], Measures | None]:
+) -> tuple[Float[Array, "states *#lanes"], Int[Array, "*#lanes"], Measures | None]:
     """March every lane over its number of drive periods in `steps` equal steps a period.
 
     The drifts of neighbouring steps are one. Returns the states (q, q'), steps, and the measures.

@@ -1,7 +1,7 @@
 """Forward and backward frequency sweeps, the state carried from frequency to frequency."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -97,8 +97,8 @@ def _ratios(settled: Settled, reference: Array, angular_frequency: Array) -> dic
 def frequency_sweep(
     system: AbstractSystem | Callable[..., AbstractSystem],
     *,
-    frequency_ratio: ArrayLike | None = None,
-    frequency: ArrayLike | None = None,
+    frequency_ratio: ArrayLike | Sequence[float] | None = None,
+    frequency: ArrayLike | Sequence[float] | None = None,
     direction: str = "both",
     tolerance: float = 1e-4,
     steps_per_period: int | None = None,
@@ -146,7 +146,9 @@ def frequency_sweep(
     _check_drive(lanes.sample)
     method = choose_method(lanes.sample, method, tolerance, steps_per_period)
     directions = DIRECTIONS[direction]
-    prepared = _prepare(method, lanes.systems, lanes.batched)
+    # Its numbers as arrays: a new tolerance does not compile again.
+    numbers = jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float) else x, method)
+    prepared = _prepare(numbers, lanes.systems, lanes.batched)
     sweep = _Sweep(prepared, axis, grid, directions, tolerance, max_period, max_periods)
     points, states = sweep.run(progress)
     curves = {name: _by_frequency([p[name] for p in points], directions) for name in points[0]}
@@ -157,7 +159,9 @@ def frequency_sweep(
     return _result(lanes, sweep, curves, found, method)
 
 
-def _frequency_axis(ratio: ArrayLike | None, frequency: ArrayLike | None) -> tuple[str, Array]:
+def _frequency_axis(
+    ratio: ArrayLike | Sequence[float] | None, frequency: ArrayLike | Sequence[float] | None
+) -> tuple[str, np.ndarray]:
     if (ratio is None) == (frequency is None):
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
     if ratio is not None:
