@@ -4,8 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import vibrojax as vj
 from scipy.linalg import expm
+
+import vibrojax as vj
 from vibrojax.contact import AbstractContactLaw
 from vibrojax.stepping.contact_phases import MAX_STOPS, contact_phases, forced_blocks
 
@@ -135,8 +136,9 @@ def test_rest_input_and_readout(equations, phases):
             atol=1e-10,
         )
         drive = np.concatenate([np.zeros(n), equations.input_map])
-        np.testing.assert_allclose(phases.to_state[p] @ phases.input[p] / unit, drive / unit,
-                                   atol=1e-9)
+        np.testing.assert_allclose(
+            phases.to_state[p] @ phases.input[p] / unit, drive / unit, atol=1e-9
+        )
         # Depth, its rate and acceleration, and the response, of a state away from rest.
         blocks = np.asarray(phases.from_state[p] @ some) - np.asarray(phases.rest[p])
         read = np.asarray(phases.readout[p] @ blocks + phases.readout_rest[p])
@@ -220,9 +222,9 @@ def test_too_many_stops_are_refused(rig):
 
 def test_laws_that_are_not_linear_are_refused(rig):
     curved = with_stops(rig, vj.Stop(0.5, 4e-4, Quadratic()))
-    with pytest.raises(ValueError, match="^ExactContact needs contact laws that are linear"):
+    with pytest.raises(ValueError, match=r"^ExactContact needs contact laws that are linear"):
         contact_phases(curved)
-    with pytest.raises(ValueError, match="^ExactContact needs a system that is linear"):
+    with pytest.raises(ValueError, match=r"^ExactContact needs a system that is linear"):
         vj.ExactContact().prepare(Pendulum(stops=()), vj.NoDrive())
 
 
