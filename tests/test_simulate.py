@@ -128,9 +128,7 @@ def test_spectrum_reads_the_amplitude_of_a_sine():
 
 def loss(x, **settings):
     rig = vj.default_rig(gap=x[0] * 1e-3, stiffness=x[1] * 1e3, damping=x[2], taper=x[3])
-    history = vj.simulate(
-        rig, frequency_ratio=1.1, periods=2, samples_per_period=32, **settings
-    )
+    history = vj.simulate(rig, frequency_ratio=1.1, periods=2, samples_per_period=32, **settings)
     tip = history.displacement() * 1e3
     return jnp.mean(tip**2) + tip[-1]
 
@@ -213,9 +211,7 @@ def test_refusals(arguments, sentence):
 
 
 def test_dataset_and_picture(tmp_path):
-    history = vj.simulate(
-        vj.default_rig(), frequency_ratio=1.1, periods=2, samples_per_period=32
-    )
+    history = vj.simulate(vj.default_rig(), frequency_ratio=1.1, periods=2, samples_per_period=32)
     dataset = history.to_xarray()
     assert dataset["tip_displacement"].attrs["units"] == "m"
     assert dataset["contact_force"].dims == ("time", "stop")

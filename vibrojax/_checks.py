@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 
 def as_number(name: str, value: Any) -> Any:
@@ -27,9 +27,14 @@ def as_number(name: str, value: Any) -> Any:
     return value
 
 
+def is_traced(value: Any) -> bool:
+    """Whether JAX is tracing the value, so that it has no number yet."""
+    return isinstance(value, Tracer)
+
+
 def concrete(value: Any) -> np.ndarray | None:
     """Return the value as a float array, or None while JAX is tracing it."""
-    if isinstance(value, jax.core.Tracer) or value is None:
+    if is_traced(value) or value is None:
         return None
     if not isinstance(value, int | float | np.ndarray | np.generic | jax.Array):
         return None  # a placeholder put in by a tree transformation

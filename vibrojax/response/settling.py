@@ -209,6 +209,7 @@ def settle(
     state = jnp.where(lost, 0.0, state)
     window = jnp.where(lost, 0, jnp.where(period > 0, period, APERIODIC_PERIODS))
     end, steps, measures = march(state, frequency, window.astype(jnp.int32), True)
+    assert measures is not None  # a march that observes has them
     status = jnp.where(
         lost,
         Status.diverged.value,

@@ -49,7 +49,7 @@ def motion(
             natural = equations.angular_frequency[0] / (2 * jnp.pi)
             # Without a drive the first natural frequency only serves as a clock.
             frequency = natural * (1.0 if frequency_ratio is None else frequency_ratio)
-        waveform = Harmonic(frequency)
+        waveform = Harmonic(jnp.asarray(frequency))
     drive, waveform = as_arrays(system.drive), as_arrays(waveform)
     return Motion(equations, drive, waveform, prepare_motion(system, equations))
 
@@ -198,7 +198,8 @@ def _solve(system, run, solver, controller, adjoint, step, times, state, max_ste
         max_steps=max_steps,
         throw=False,
     )
-    return History.of(system, run, times, solution.ys, solution.result)
+    states = jnp.asarray(solution.ys)
+    return History.of(system, run, times, states, solution.result)
 
 
 def _check_waveform(system, frequency, frequency_ratio, waveform) -> None:

@@ -30,6 +30,12 @@ CURVES = (
 )
 
 
+def _highest(values: Array) -> Array:
+    """Largest value along the last axis, leaving NaN out; NaN where there is nothing else."""
+    highest = np.max(np.where(np.isnan(values), -np.inf, values), axis=-1)
+    return np.where(np.isneginf(highest), np.nan, highest)[()]
+
+
 class FrequencyResponse(eqx.Module):
     """Steady responses on a frequency axis, with the state carried along each direction.
 
@@ -73,13 +79,15 @@ class FrequencyResponse(eqx.Module):
     @property
     def peak_amplitude_ratio(self) -> float | Float[Array, "..."]:
         """Largest amplitude ratio of the curves, over the axes of the call."""
-        return np.nanmax(self.amplitude_ratio, axis=(-2, -1))
+        return _highest(_highest(self.amplitude_ratio))
 
     @property
     def peak_frequency(self) -> float | Float[Array, "..."]:
         """Frequency of the largest amplitude ratio, in the unit of the axis."""
-        highest = np.nanmax(self.amplitude_ratio, axis=-2)
-        return np.asarray(self.frequencies)[np.nanargmax(highest, axis=-1)]
+        over_directions = _highest(np.swapaxes(self.amplitude_ratio, -1, -2))
+        found = np.isfinite(over_directions).any(axis=-1)
+        at = np.argmax(np.where(np.isfinite(over_directions), over_directions, -np.inf), axis=-1)
+        return np.where(found, np.asarray(self.frequencies)[at], np.nan)[()]
 
     @property
     def resonance_shift(self) -> float | Float[Array, "..."]:
@@ -122,7 +130,9 @@ class FrequencyResponse(eqx.Module):
             unit, long_name = VARIABLES[name]
             return {"units": units.get(unit, unit), "long_name": long_name}
 
-        data = {name: (dims, np.asarray(getattr(self, name)), described(name)) for name in CURVES}
+        data: dict[str, Any] = {
+            name: (dims, np.asarray(getattr(self, name)), described(name)) for name in CURVES
+        }
         data["status"][2]["flag_values"] = [s.value for s in Status]
         data["status"][2]["flag_meanings"] = " ".join(s.name for s in Status)
         for name in ("jump_up", "jump_down", "natural_frequency"):

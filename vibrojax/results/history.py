@@ -1,6 +1,6 @@
 """The result of a simulation: a time history and what can be read from it."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from vibrojax._checks import check_choice
+from vibrojax._checks import check_choice, is_traced
 from vibrojax.results.status import Status
 from vibrojax.systems.base import AbstractSystem, Motion
 from vibrojax.systems.impacting_beam import ImpactingBeam
@@ -124,9 +124,9 @@ class History(eqx.Module):
         if len(values) < 8:
             raise ValueError(f"start = {start!r} s leaves {len(values)} samples, 8 are needed.")
         # The last sample of a whole number of periods repeats the first.
-        frequency, power = periodogram(
-            values[:-1], 1 / (time[1] - time[0]), window, detrend=False, scaling="spectrum"
-        )
+        rate = 1 / (time[1] - time[0])
+        keep: Any = False  # the mean: scipy's annotation knows only names
+        frequency, power = periodogram(values[:-1], rate, window, detrend=keep, scaling="spectrum")
         return Spectrum(frequency, np.sqrt(power * np.where(frequency > 0, 2.0, 1.0)))
 
     def to_xarray(self) -> "xarray.Dataset":
@@ -167,6 +167,6 @@ class History(eqx.Module):
     def __repr__(self) -> str:
         samples, coordinates = self.coordinates.shape
         head = f"History({samples} samples, {coordinates} coordinates"
-        if isinstance(self.time, jax.core.Tracer):
+        if is_traced(self.time):
             return head + ")"
         return f"{head}, 0 to {float(self.time[-1]):.6g} s, {Status(int(self.status)).name})"

@@ -10,9 +10,8 @@ from vibrojax.systems.base import AbstractEquations, AbstractSystem, LinearEquat
 
 def _stops(system: AbstractSystem) -> tuple[Stop, ...]:
     """Stops of a system, with their numbers concrete where the system holds them itself."""
-    if hasattr(system, "stops"):
-        return system.stops
-    return eqx.filter_eval_shape(system.equations).stops
+    own = getattr(system, "stops", None)
+    return own if own is not None else eqx.filter_eval_shape(system.equations).stops
 
 
 def _is_exact(system: AbstractSystem) -> bool:

@@ -196,8 +196,9 @@ class _Loop:
         sign = self.column([-1.0, 1.0])[:, None]
         return blocks + time * (decay * blocks + sign * rate * blocks[::-1])
 
-    def proposal(self, start, start_rate, end, end_rate, step, touching, tolerance):
+    def proposal(self, seen, touching, tolerance):
         """Fraction of the step up to the first crossing of any stop; 1 where there is none."""
+        start, start_rate, end, end_rate, step = seen
         sign = jnp.where(touching, -1.0, 1.0)
         f0, f1 = jnp.minimum(sign * start, 0.0), sign * end
         d0, d1 = sign * start_rate * step, sign * end_rate * step
@@ -234,12 +235,10 @@ class _Loop:
         start, start_rate = self.contact(flight.reading)
         end, end_rate = self.contact(reading)
 
+        seen = lax.stop_gradient((start, start_rate, end, end_rate, step))
+
         def propose():
-            return self.proposal(
-                *(lax.stop_gradient(a) for a in (start, start_rate, end, end_rate, step)),
-                touching,
-                tolerance,
-            )
+            return self.proposal(seen, touching, tolerance)
 
         fraction = once(propose)
         kept = live & (fraction >= 1.0)

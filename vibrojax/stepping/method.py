@@ -2,7 +2,7 @@
 
 import math
 from abc import abstractmethod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
@@ -51,8 +51,9 @@ class AbstractMarch(eqx.Module):
 class StateInterpolation(diffrax.AbstractLocalInterpolation):
     """Between two steps: the cubic through (q, q') at both ends, and its derivative."""
 
-    t0: Float[Array, ""]
-    t1: Float[Array, ""]
+    # The base class has them as class variables, as all of diffrax's interpolations override.
+    t0: Float[Array, ""]  # pyright: ignore
+    t1: Float[Array, ""]  # pyright: ignore
     y0: Float[Array, " states"]
     y1: Float[Array, " states"]
 
@@ -101,7 +102,14 @@ class AbstractMethod(diffrax.AbstractSolver):
         """
 
     @abstractmethod
-    def advance(self, motion, start, duration, state, solver_state):
+    def advance(
+        self,
+        motion: Motion,
+        start: Float[Array, ""],
+        duration: Float[Array, ""],
+        state: Float[Array, " states"],
+        solver_state: Any,
+    ) -> Float[Array, " states"]:
         """Return the state after a step."""
 
     def order(self, terms):
@@ -117,7 +125,9 @@ class AbstractMethod(diffrax.AbstractSolver):
         state = self.advance(args, jnp.asarray(t0), jnp.asarray(t1 - t0), y0, solver_state)
         whole = jnp.all(jnp.isfinite(state))
         result = diffrax.RESULTS.where(
-            whole, diffrax.RESULTS.successful, diffrax.RESULTS.nonlinear_divergence
+            whole,
+            diffrax.RESULTS.successful,
+            diffrax.RESULTS.nonlinear_divergence,  # pyright: ignore[reportArgumentType]
         )
         return state, None, {"y0": y0, "y1": state}, solver_state, result
 
@@ -195,7 +205,14 @@ class ExactContact(AbstractMethod):
             return None
         return contact_phases(_linear(run.equations, "ExactContact"))
 
-    def advance(self, motion, start, duration, state, solver_state):
+    def advance(
+        self,
+        motion: Motion,
+        start: Float[Array, ""],
+        duration: Float[Array, ""],
+        state: Float[Array, " states"],
+        solver_state: Any,
+    ) -> Float[Array, " states"]:
         """Advance with exact propagators, landing on every crossing in between."""
         # As `args` the phases stay shared by the lanes of a vmap; as solver state they would not.
         phases = solver_state if motion.prepared is None else motion.prepared
@@ -275,7 +292,14 @@ class ExponentialSplitting(AbstractMethod):
         """Keep nothing between steps, for diffrax."""
         _linear(_motion_of(args).equations, "ExponentialSplitting")
 
-    def advance(self, motion, start, duration, state, solver_state):
+    def advance(
+        self,
+        motion: Motion,
+        start: Float[Array, ""],
+        duration: Float[Array, ""],
+        state: Float[Array, " states"],
+        solver_state: Any,
+    ) -> Float[Array, " states"]:
         """Drift, kick, drift."""
         return splitting.step_from(motion, state, start, duration)
 

@@ -182,6 +182,8 @@ def step_from(
     Harmonic drives are exact; of a chirp the step takes the frequency and amplitude of its middle.
     """
     equations = motion.equations
+    if not isinstance(equations, LinearEquations):
+        raise ValueError("ExponentialSplitting needs a system that is linear but for its stops.")
     phase, _, _ = motion.waveform.phase(start)
     phase_end, _, _ = motion.waveform.phase(start + duration)
     phase_middle, rate, second = motion.waveform.phase(start + duration / 2)

@@ -15,8 +15,8 @@ from vibrojax._checks import check_choice, check_count, check_frequencies, check
 from vibrojax.response.settling import Settled, settle
 from vibrojax.results.frequency_response import FrequencyResponse
 from vibrojax.results.status import Status
-from vibrojax.stepping.method import AbstractMarch, AbstractMethod
 from vibrojax.stepping.choice import choose_method
+from vibrojax.stepping.method import AbstractMarch, AbstractMethod
 from vibrojax.studies.axes import Lanes, lanes_of
 from vibrojax.studies.jumps import find_jumps
 from vibrojax.systems.base import AbstractSystem
@@ -271,7 +271,7 @@ def _result(
 ) -> FrequencyResponse:
     shape = lanes.shape
 
-    def over_axes(values: np.ndarray | np.floating) -> np.ndarray | np.floating:
+    def over_axes(values: Any) -> Any:
         if not lanes.batched:
             return values
         return values.reshape(*shape, *values.shape[1:])

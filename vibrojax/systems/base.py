@@ -17,7 +17,6 @@ from jaxtyping import Array, ArrayLike, Float
 from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive, AbstractWaveform
 
-
 ModuleType = TypeVar("ModuleType", bound=eqx.Module)
 
 
