@@ -126,7 +126,7 @@ class Stop(eqx.Module):
     """Place along the beam, s1 = x/L."""
     gap: float | Float[Array, "..."] = number_field("gap")
     """Clearance lambda between the beam at rest and the stop, m."""
-    law: AbstractContactLaw = eqx.field()
+    law: AbstractContactLaw  # pyright: ignore[reportGeneralTypeIssues]
     """Force as a function of penetration and rate."""
     side: int = eqx.field(static=True, default=1)
     """+1: the stop is above the beam (y > 0); -1: below."""

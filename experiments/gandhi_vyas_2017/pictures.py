@@ -31,7 +31,7 @@ def _save(figure, folder: Path, name: str) -> None:
 def draw_shapes(folder: Path) -> None:
     """Fig. 6: five mode shapes at taper 0.25 and mass ratio 0.5."""
     s, shapes, squares = mode_shapes(0.25, 0.5)
-    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    figure, axes = plt.subplots(figsize=(9, 4.2), layout="constrained")
     styles = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
     for i, style in enumerate(styles):
         axes.plot(s, shapes[:, i], ls=style, lw=1.8, label=f"mode {i + 1}, β² = {squares[i]:.3f}")
@@ -40,7 +40,7 @@ def draw_shapes(folder: Path) -> None:
     axes.set_title(
         "Fig. 6: taper 0.25, mass ratio 0.5 (the same in both formulations)", fontsize=11
     )
-    axes.legend(fontsize=9, loc="lower left")
+    figure.legend(fontsize=9, loc="outside right center")
     _save(figure, folder, "fig6_mode_shapes")
 
 
@@ -82,7 +82,7 @@ def draw_curve(axes: Axes, curve: vj.FrequencyResponse, lane: tuple[int, ...]) -
     axes.grid(color="0.92", lw=0.7)
 
 
-def _legend(figure) -> None:
+def _legend(figure, ncols: int = 5) -> None:
     entries = [
         Line2D([], [], color=FORWARD, marker=">", label="forward sweep"),
         Line2D([], [], color=BACKWARD, marker="<", label="backward sweep"),
@@ -90,7 +90,9 @@ def _legend(figure) -> None:
         Line2D([], [], color="k", marker="x", ls="", label="no period found"),
         Line2D([], [], color="#2f9e44", marker="o", mfc="none", ls="", label="period above 1"),
     ]
-    figure.legend(handles=entries, loc="outside lower center", ncols=5, fontsize=10, frameon=False)
+    figure.legend(
+        handles=entries, loc="outside lower center", ncols=ncols, fontsize=10, frameon=False
+    )
 
 
 def draw_fig7(studies: Sequence[Study], folder: Path) -> None:
@@ -133,7 +135,7 @@ def draw_responses(studies: Sequence[Study], folder: Path) -> None:
         figure.suptitle(
             f"Fig. {8 + j}: mass ratio {mass_ratio:g}, gap 0.4 mm at s1 = 0.5, σ = 0.2 mm"
         )
-        _legend(figure)
+        _legend(figure, 5 if len(tapers) > 2 else 3)
         _save(figure, folder, f"fig{8 + j}_mass_ratio_{mass_ratio:g}")
 
 
@@ -158,6 +160,7 @@ def draw_peaks(summary: pd.DataFrame, study: str, folder: Path) -> None:
         grid[1, column].set_xlabel(label)
         for axes in grid[:, column]:
             axes.grid(color="0.92", lw=0.7)
+            axes.set_ylim(0, None)
     grid[0, 0].set_ylabel(f"largest {PEAK_LABEL}")
     grid[1, 0].set_ylabel("shift of the peak  (ratio - 1)")
     grid[0, 0].legend(fontsize=9)

@@ -62,7 +62,8 @@ def reproduce(folder: Path, quick: bool = False) -> list[claims.Verdict]:
     (results / "claims.md").write_text(claims.to_markdown(verdicts))
     pd.DataFrame(verdicts).to_csv(results / "claims.csv", index=False)
     total = round(time.perf_counter() - started, 1)
-    about = {"vibrojax": vj.__version__, "quick": quick, "seconds": total, "parts": seconds}
+    about = {"vibrojax": vj.__version__, "quick": quick, "seconds": total}
+    about |= {"cpu_seconds": round(time.process_time(), 1), "parts": seconds}
     (results / "run.json").write_text(json.dumps(about, indent=1) + "\n")
     print(f"{sum(e.agrees for e in entries)} of {len(entries)} entries of Table 2 agree")
     for v in verdicts:
