@@ -1,0 +1,359 @@
+"""The loop of exact contact: one attempt after another, each lane at its own pace."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from vibrojax.stepping.contact_phases import ContactPhases, spread
+from vibrojax.stepping.elementary import apply_matrix, computed_once, cosine, cubic_maximum
+from vibrojax.stepping.forcing import Forcing
+from vibrojax.stepping.measures import Measures, Segment, no_measures
+
+lax = jax.lax
+
+RETRIES = 40
+"""Attempts per step of the grid before a lane is given up as stalled."""
+
+
+class Flight(NamedTuple):
+    """Where a lane is: the carry of the loop."""
+
+    blocks: Float[Array, "2 blocks *#lanes"]
+    phase: Int[Array, "*#lanes"]
+    time: Float[Array, "*#lanes"]
+    step: Float[Array, "*#lanes"]
+    reading: Float[Array, "rows *#lanes"]
+    finished: Int[Array, "*#lanes"]
+    attempts: Int[Array, "*#lanes"]
+    measures: Measures | None
+
+
+def _pick(index: Int[Array, "*#lanes"], table: Array) -> Array:
+    """Take the row of each lane: `where` for the usual two, which XLA fuses; no gather."""
+    chosen = table[0]
+    for i in range(1, table.shape[0]):
+        chosen = jnp.where(index == i, table[i], chosen)
+    return chosen
+
+
+class ContactLoop:
+    """The attempt of one step, over tables that stay fixed while the loop runs."""
+
+    def __init__(self, phases: ContactPhases, force: Forcing, observe: bool):
+        self.phases, self.force, self.observe = phases, force, observe
+        self.lanes = force.angular_frequency.ndim
+        self.stops, self.n = phases.num_stops, phases.num_blocks
+        self.count = 2**self.stops
+        self.exponent = spread(phases.exponent, 3, self.lanes)
+        self.rate = spread(phases.rate, 2, self.lanes)
+        self.oscillates = spread(phases.oscillates, 2, self.lanes) > 0
+        self.period = 2 * jnp.pi / force.angular_frequency
+        # Velocity is read after a change of phase only by laws and measures that ask for it.
+        self.reread = observe or not all(phases.can_pull)
+        rows = 3 * self.stops + 2 if observe else (3 if self.reread else 2) * self.stops
+        readout = phases.readout[:, :rows]
+        self.readout = readout.reshape(-1, *readout.shape[2:])
+        self.readout_rest = spread(phases.readout_rest, 2, self.lanes)[:, :rows]
+        self.readout_wave = force.readout[:, :rows].real, force.readout[:, :rows].imag
+        change = phases.change
+        self.change = change.reshape(-1, *change.shape[3:])
+        self.change_rest = spread(phases.change_rest, 3, self.lanes)
+        self.change_wave = force.change.real, force.change.imag
+        self.bits = self.column([1 << s for s in range(self.stops)]).astype(np.int32)
+
+    def phase_of(self, touching):
+        """Index of the phase in which these stops touch."""
+        return jnp.sum(jnp.where(touching, self.bits, 0), axis=0, dtype=jnp.int32)
+
+    def column(self, values):
+        """Put one value per row, the same for all lanes."""
+        return np.asarray(values).reshape((len(values),) + (1,) * self.lanes)
+
+    def phasor(self, time):
+        """Sine and cosine of the drive phase, as one array."""
+        angle = self.force.start_phase + self.force.angular_frequency * time
+        return cosine(angle - self.column([np.pi / 2, 0.0]))
+
+    def read(self, blocks, phase, sine, cosine_):
+        """Read depths and speeds (and more, where needed) off block coordinates."""
+        flat = blocks.reshape(2 * self.n, *blocks.shape[2:])
+        rows = apply_matrix(self.readout, flat)
+        rows = rows.reshape(self.count, -1, *rows.shape[1:])
+        return (
+            _pick(phase, rows + self.readout_rest)
+            + _pick(phase, self.readout_wave[0]) * sine
+            + _pick(phase, self.readout_wave[1]) * cosine_
+        )
+
+    def touching(self, phase):
+        """Which stops are in contact."""
+        return (phase & self.bits) > 0
+
+    def contact(self, reading):
+        """Indicator of contact of each stop (positive in contact) and its rate, m and m/s."""
+        k = self.stops
+        depth, speed = reading[:k], reading[k : 2 * k]
+        if all(self.phases.can_pull):
+            return depth, speed
+        # Without tension contact also ends where the force does; a length: force over stiffness.
+        stiffness = spread(self.phases.stiffness, 1, self.lanes)
+        damping = spread(self.phases.damping, 1, self.lanes)
+        unit = stiffness + damping * self.force.angular_frequency
+        safe = jnp.where(unit > 0, unit, 1.0)
+        acceleration = reading[2 * k : 3 * k]
+        push = jnp.where(unit > 0, (stiffness * depth + damping * speed) / safe, depth)
+        push_rate = jnp.where(unit > 0, (stiffness * speed + damping * acceleration) / safe, speed)
+        pulls = self.column(self.phases.can_pull)
+        by_depth = pulls | (depth <= push)
+        return jnp.where(by_depth, depth, push), jnp.where(by_depth, speed, push_rate)
+
+    def factors(self, phase, oscillates, step):
+        """Growth of both rows of every block over a step: decay times (cosine, sine)."""
+        decay, rate = _pick(phase, self.exponent), _pick(phase, self.rate)
+        quarter = self.column([0.0, np.pi / 2])[:, None]
+        turn = jnp.where(oscillates, rate * step - quarter, 0.0)
+        return jnp.exp(decay * step) * cosine(turn)
+
+    def rotate(self, factor, oscillates, blocks):
+        """Advance block coordinates by their factors: a rotation, or two exponentials."""
+        sign = self.column([-1.0, 1.0])[:, None]
+        along = jnp.where(oscillates, factor[:1], factor)
+        across = jnp.where(oscillates, factor[1:], 0.0)
+        return along * blocks + sign * across * blocks[::-1]
+
+    def drift(self, blocks, phase, time):
+        """First-order motion over a short time: the Newton correction of a crossing."""
+        decay, rate = _pick(phase, self.exponent), _pick(phase, self.rate)
+        sign = self.column([-1.0, 1.0])[:, None]
+        return blocks + time * (decay * blocks + sign * rate * blocks[::-1])
+
+    def proposal(self, seen, touching, tolerance):
+        """Fraction of the step up to the first crossing of any stop; 1 where there is none."""
+        start, start_rate, end, end_rate, step = seen
+        sign = jnp.where(touching, -1.0, 1.0)
+        f0, f1 = jnp.minimum(sign * start, 0.0), sign * end
+        d0, d1 = sign * start_rate * step, sign * end_rate * step
+        curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
+        crossed = f1 > tolerance
+        # Newton on the cubic from the secant; from the turning point when the step starts on it.
+        tiny = jnp.finfo(f0.dtype).tiny
+        secant = -f0 / jnp.where(crossed, f1 - f0, 1.0)
+        turning = jnp.where(d0 > 0, 0.5, jnp.clip(-d0 / jnp.where(curve == 0, 1.0, curve), 0, 1))
+        u = jnp.clip(jnp.where(f0 > -tolerance, turning, secant), 0.02, 1.0)
+        for _ in range(4):
+            value = f0 + u * (d0 + u * (curve + u * bend))
+            slope = d0 + u * (2 * curve + 3 * u * bend)
+            u = jnp.clip(u - value / jnp.where(jnp.abs(slope) < tiny, tiny, slope), 0.005, 0.999)
+        # A touch and go inside the step shows as a maximum above zero.
+        root = jnp.sqrt(jnp.maximum(curve**2 - 3 * bend * d0, 0.0))
+        below = root - curve
+        top = d0 / jnp.where(below > tiny, below, 1.0)
+        height = f0 + top * (d0 + top * (curve + top * bend))
+        hidden = ~crossed & (below > tiny) & (top > 0.01) & (top < 0.99) & (height > tolerance)
+        return jnp.min(jnp.where(crossed, u, jnp.where(hidden, top, 1.0)), axis=0, initial=1.0)
+
+    def attempt(self, flight: Flight, live: Bool[Array, "*#lanes"], tick, until) -> Flight:
+        """Try one step in every live lane; `until` is the time at which a lane's run ends."""
+        once = lambda f: computed_once(tick, f)  # noqa: E731
+        force, phase, step = self.force, flight.phase, flight.step
+        tolerance = force.depth_tolerance
+        oscillates = _pick(phase, self.oscillates)
+        factors = once(lambda: self.factors(phase, oscillates, step))
+        moved = self.rotate(factors, oscillates, flight.blocks)
+        time = flight.time + step
+        wave = once(lambda: self.phasor(time))
+        reading = once(lambda: self.read(moved, phase, wave[0], wave[1]))
+        touching = self.touching(phase)
+        start, start_rate = self.contact(flight.reading)
+        end, end_rate = self.contact(reading)
+
+        seen = lax.stop_gradient((start, start_rate, end, end_rate, step))
+
+        def propose():
+            return self.proposal(seen, touching, tolerance)
+
+        fraction = once(propose)
+        kept = live & (fraction >= 1.0)
+        outward = jnp.where(touching, -end_rate, end_rate)
+        arrived = (jnp.abs(end) <= tolerance) & (outward > 0) & kept
+        # One stop changes at a time; another one that arrived too is found by the next attempt.
+        first = jnp.cumsum(arrived.astype(jnp.int32), axis=0) == 1
+        arrived = arrived & first
+        flips = jnp.any(arrived, axis=0)
+        arriving = jnp.sum(jnp.where(arrived, end, 0.0), axis=0)
+        speed = lax.stop_gradient(jnp.sum(jnp.where(arrived, end_rate, 0.0), axis=0))
+        limit = 0.02 * lax.stop_gradient(step)
+
+        def newton():
+            late = jnp.where(flips, -arriving / jnp.where(speed == 0, 1.0, speed), 0.0)
+            return jnp.clip(late, -limit, limit)
+
+        late = once(newton)
+        time, landed = time + late, self.drift(moved, phase, late)
+        turn = force.angular_frequency * late
+        sine, cosine_ = wave[0] + turn * wave[1], wave[1] - turn * wave[0]
+        blocks, new_phase = landed, phase
+        if self.stops:
+            blocks, new_phase = self.change_phase(landed, phase, arrived, flips, sine, cosine_)
+        done = kept & (time >= until - 1e-12 * step)
+
+        def act():
+            return jnp.where(kept, jnp.where(flips, 2, 1), 0).astype(jnp.int32)
+
+        action = once(act)
+        blocks = jnp.where(action == 2, blocks, jnp.where(action == 1, moved, flight.blocks))
+        new_phase = jnp.where(action == 2, new_phase, phase)
+        if self.reread:
+            fresh = self.read(blocks, new_phase, sine, cosine_)
+            settled = jnp.where(action > 0, fresh, flight.reading)
+        else:
+            settled = jnp.where(action > 0, reading, flight.reading)
+        measures = flight.measures
+        if measures is not None:
+            segment = self.segment(flight, reading, step + late, time, touching, arrived)
+            measures = measures.add(segment, kept)
+        ended = jnp.where(done, 0.0, time)
+        following = self.next_step(settled, new_phase, until - ended)
+        return Flight(
+            blocks=blocks,
+            phase=new_phase,
+            time=jnp.where(kept, ended, flight.time),
+            step=jnp.where(live, jnp.where(kept, following, fraction * step), step),
+            reading=settled,
+            finished=flight.finished + done,
+            attempts=flight.attempts + live,
+            measures=measures,
+        )
+
+    def change_phase(self, landed, phase, arrived, flips, sine, cosine_):
+        """Go over to the block coordinates of the phase that the arrived stop leads to."""
+        flat = landed.reshape(2 * self.n, *landed.shape[2:])
+        rows = apply_matrix(self.change, flat)
+        rows = rows.reshape(self.count, self.stops, 2 * self.n, *rows.shape[1:])
+        rows = rows + self.change_rest
+        rows = rows + self.change_wave[0] * sine + self.change_wave[1] * cosine_
+        by_stop = _pick(phase, rows)
+        changed = by_stop[0]
+        for s in range(1, self.stops):
+            changed = jnp.where(arrived[s], by_stop[s], changed)
+        flipped = phase ^ self.phase_of(arrived)
+        return changed.reshape(landed.shape), jnp.where(flips, flipped, phase)
+
+    def next_step(self, reading, phase, left):
+        """Longest step, cut where the present speeds would bring a stop to its crossing."""
+        longest = self.force.longest_step
+        if self.stops:
+            value, rate = (lax.stop_gradient(a) for a in self.contact(reading))
+            sign = jnp.where(self.touching(phase), -1.0, 1.0)
+            closing = (sign * rate > 0) & (sign * value < 0)
+            soon = jnp.where(closing, -value / jnp.where(closing, rate, 1.0), np.inf)
+            soon = jnp.min(soon, axis=0)
+            longest = jnp.where(soon > 0, jnp.minimum(soon, longest), longest)
+        return jnp.minimum(longest, left)
+
+    def segment(self, flight, reading, duration, time, touching, arrived):
+        """What the measures see of an accepted step."""
+        k = self.stops
+        start = flight.reading
+        stiffness = spread(self.phases.stiffness, 1, self.lanes)
+        damping = spread(self.phases.damping, 1, self.lanes)
+
+        def force_of(r):
+            depth, speed, acceleration = r[:k], r[k : 2 * k], r[2 * k : 3 * k]
+            value = stiffness * depth + damping * speed
+            return value, stiffness * speed + damping * acceleration
+
+        (f0, g0), (f1, g1) = force_of(start), force_of(reading)
+        peak = jnp.where(touching, cubic_maximum(f0, g0 * duration, f1, g1 * duration), 0.0)
+        angle = self.force.start_phase + self.force.angular_frequency * flight.time
+        return Segment(
+            duration=duration,
+            angle=angle,
+            angle_rate=self.force.angular_frequency,
+            response=(start[3 * k], reading[3 * k]),
+            response_rate=(start[3 * k + 1], reading[3 * k + 1]),
+            force=jnp.max(peak, axis=0, initial=0.0),
+            touches=jnp.any(touching, axis=0),
+            entries=jnp.sum(arrived & ~touching, axis=0, dtype=jnp.int32),
+        )
+
+
+def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
+    """Put a state (q, q') at time 0 into block coordinates."""
+    force, phases = loop.force, loop.phases
+    zero = jnp.zeros_like(force.angular_frequency)
+    wave = loop.phasor(zero)
+    position, speed = (apply_matrix(phases.towards_stop, half) for half in jnp.split(state, 2))
+    depth = position - spread(phases.gap, 1, loop.lanes)
+    indicator, rate = loop.contact(jnp.concatenate([depth, speed, jnp.zeros_like(depth)]))
+    touching = indicator > 0
+    if all(phases.can_pull):
+        # As close as a landing counts as crossing: where it is going says on which side it is.
+        touching = jnp.where(jnp.abs(indicator) <= force.depth_tolerance, rate > 0, touching)
+    phase = jnp.broadcast_to(loop.phase_of(touching), zero.shape)
+
+    def blocks_of(p):
+        steady = force.blocks[p]
+        forced = steady.real * wave[0] + steady.imag * wave[1]
+        rest = spread(phases.rest[p], 1, loop.lanes)
+        return apply_matrix(phases.from_state[p], state) - forced - rest
+
+    blocks = _pick(phase, jnp.stack([blocks_of(p) for p in range(loop.count)]))
+    blocks = blocks.reshape(2, loop.n, *blocks.shape[1:])
+    reading = loop.read(blocks, phase, wave[0], wave[1])
+    count = jnp.zeros(zero.shape, jnp.int32)
+    measures = no_measures(zero) if loop.observe else None
+    return Flight(blocks, phase, zero, zero, reading, count, count, measures)
+
+
+def leave(
+    loop: ContactLoop, flight: Flight, time: Float[Array, "*#lanes"]
+) -> Float[Array, "states *#lanes"]:
+    """State (q, q') of a flight, at its time."""
+    force, phases = loop.force, loop.phases
+    wave = loop.phasor(time)
+    flat = flight.blocks.reshape(2 * loop.n, *flight.blocks.shape[2:])
+
+    def state_of(p):
+        steady = force.blocks[p]
+        forced = steady.real * wave[0] + steady.imag * wave[1]
+        rest = spread(phases.rest[p], 1, loop.lanes)
+        return apply_matrix(phases.to_state[p], flat + forced + rest)
+
+    return _pick(flight.phase, jnp.stack([state_of(p) for p in range(loop.count)]))
+
+
+def run(
+    loop: ContactLoop,
+    state: Float[Array, "states *#lanes"],
+    duration: Float[Array, "*#lanes"],
+    target: Int[Array, "*#lanes"],
+    max_attempts: int | None,
+) -> Flight:
+    """Fly every lane `target` times over the duration, starting each time at drive time 0."""
+    flight = enter(loop, state)
+    first = loop.next_step(flight.reading, flight.phase, duration)
+    flight = flight._replace(step=jnp.broadcast_to(first, flight.time.shape))
+    longest = loop.force.longest_step
+    grid = jnp.ceil(duration / jnp.where(longest > 0, longest, 1.0))
+    budget = (target * jnp.clip(RETRIES * grid, RETRIES, 1e7)).astype(jnp.int32)
+
+    def live(flight):
+        return (flight.finished < target) & (flight.attempts < budget)
+
+    def attempt(flight, tick):
+        return loop.attempt(flight, live(flight), tick, duration)
+
+    if max_attempts is None:
+        flight, _ = lax.while_loop(
+            lambda carry: jnp.any(live(carry[0])),
+            lambda carry: (attempt(*carry), carry[1] + 1),
+            (flight, jnp.int32(0)),
+        )
+    else:
+        ticks = jnp.arange(max_attempts, dtype=jnp.int32)
+        flight, _ = lax.scan(lambda f, tick: (attempt(f, tick), None), flight, ticks)
+    return flight
