@@ -38,6 +38,8 @@ class Settled(NamedTuple):
     status: Int[Array, "*lanes"]
     periods_marched: Int[Array, "*lanes"]
     steps: Int[Array, "*lanes"]
+    window: Int[Array, "*lanes"]
+    """Drive periods measured."""
     measures: Measures
 
 
@@ -223,5 +225,6 @@ def settle(
         status=status.astype(jnp.int32),
         periods_marched=final.marched,
         steps=final.steps + steps,
+        window=jnp.maximum(window, 1).astype(jnp.int32),
         measures=measures,
     )

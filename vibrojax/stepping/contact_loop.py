@@ -14,6 +14,9 @@ from vibrojax.stepping.measures import Measures, Segment, no_measures
 
 lax = jax.lax
 
+_PLACES = (0.15, 0.325, 0.5, 0.675, 0.85)
+"""Where along a step the cubics are asked how far from zero they stay."""
+
 RETRIES = 40
 """Attempts per step of the grid before a lane is given up as stalled."""
 
@@ -39,6 +42,18 @@ def _pick(index: Int[Array, "*#lanes"], table: Array) -> Array:
     return chosen
 
 
+def _wiggle(phases: ContactPhases) -> Float[Array, "phases stops blocks *lanes"]:
+    """What a unit of every block adds to the largest error of the cubic for a depth, over h^4.
+
+    The cubic through values and slopes is off by at most h^4/384 times the fourth derivative.
+    """
+    n = phases.num_blocks
+    rows = phases.readout[:, : phases.num_stops]
+    size = jnp.sqrt(rows[:, :, :n] ** 2 + rows[:, :, n:] ** 2)
+    rate = jnp.max(phases.exponent**2, axis=1) + phases.rate**2
+    return size * rate[:, None] ** 2 / 384
+
+
 class ContactLoop:
     """The attempt of one step, over tables that stay fixed while the loop runs."""
 
@@ -50,6 +65,7 @@ class ContactLoop:
         self.exponent = spread(phases.exponent, 3, self.lanes)
         self.rate = spread(phases.rate, 2, self.lanes)
         self.oscillates = spread(phases.oscillates, 2, self.lanes) > 0
+        self.wiggle = spread(_wiggle(phases), 3, self.lanes)
         self.period = 2 * jnp.pi / force.angular_frequency
         # Velocity is read after a change of phase only by laws and measures that ask for it.
         self.reread = observe or not all(phases.can_pull)
@@ -130,9 +146,16 @@ class ContactLoop:
         sign = self.column([-1.0, 1.0])[:, None]
         return blocks + time * (decay * blocks + sign * rate * blocks[::-1])
 
+    def cubic_error(self, blocks, phase, step):
+        """Bound of the error of the cubics through the depths over a step, m."""
+        blocks = lax.stop_gradient(blocks)
+        size = jnp.sqrt(blocks[0] ** 2 + blocks[1] ** 2)
+        wiggle = lax.stop_gradient(_pick(phase, self.wiggle))
+        return jnp.sum(wiggle * size, axis=1) * lax.stop_gradient(step) ** 4
+
     def proposal(self, seen, touching, tolerance):
         """Fraction of the step up to the first crossing of any stop; 1 where there is none."""
-        start, start_rate, end, end_rate, step = seen
+        start, start_rate, end, end_rate, step, error = seen
         sign = jnp.where(touching, -1.0, 1.0)
         f0, f1 = jnp.minimum(sign * start, 0.0), sign * end
         d0, d1 = sign * start_rate * step, sign * end_rate * step
@@ -142,18 +165,31 @@ class ContactLoop:
         tiny = jnp.finfo(f0.dtype).tiny
         secant = -f0 / jnp.where(crossed, f1 - f0, 1.0)
         turning = jnp.where(d0 > 0, 0.5, jnp.clip(-d0 / jnp.where(curve == 0, 1.0, curve), 0, 1))
-        u = jnp.clip(jnp.where(f0 > -tolerance, turning, secant), 0.02, 1.0)
+        u = jnp.clip(jnp.where(f0 > -tolerance, turning, secant), 0.02, 0.95)
+        low, high = jnp.zeros_like(u), jnp.ones_like(u)
         for _ in range(4):
             value = f0 + u * (d0 + u * (curve + u * bend))
             slope = d0 + u * (2 * curve + 3 * u * bend)
-            u = jnp.clip(u - value / jnp.where(jnp.abs(slope) < tiny, tiny, slope), 0.005, 0.999)
+            low, high = jnp.where(value > 0, low, u), jnp.where(value > 0, u, high)
+            u = u - value / jnp.where(jnp.abs(slope) < tiny, tiny, slope)
+            u = jnp.where((u > low) & (u < high), u, (low + high) / 2)
+        # Short of the end, so that a cubic that misleads cannot hold the lane up.
+        u = jnp.clip(u, 0.005, 0.95)
         # A touch and go inside the step shows as a maximum above zero.
         root = jnp.sqrt(jnp.maximum(curve**2 - 3 * bend * d0, 0.0))
         below = root - curve
         top = d0 / jnp.where(below > tiny, below, 1.0)
         height = f0 + top * (d0 + top * (curve + top * bend))
         hidden = ~crossed & (below > tiny) & (top > 0.01) & (top < 0.99) & (height > tolerance)
-        return jnp.min(jnp.where(crossed, u, jnp.where(hidden, top, 1.0)), axis=0, initial=1.0)
+        # Where the cubic may be wrong by more than its distance from zero, the step is halved.
+        reach = jnp.where(error > tolerance, 16.0 * error, 0.0)
+        doubt = jnp.zeros(crossed.shape, bool)
+        for x in _PLACES:
+            value = f0 + x * (d0 + x * (curve + x * bend))
+            doubt = doubt | (value + reach * (x * (1 - x)) ** 2 > tolerance)
+        accepted = jnp.where(doubt & ~crossed, 0.5, 1.0)
+        found = jnp.where(crossed, u, jnp.where(hidden, top, accepted))
+        return jnp.min(found, axis=0, initial=1.0)
 
     def attempt(self, flight: Flight, live: Bool[Array, "*#lanes"], tick, until) -> Flight:
         """Try one step in every live lane; `until` is the time at which a lane's run ends."""
@@ -170,7 +206,8 @@ class ContactLoop:
         start, start_rate = self.contact(flight.reading)
         end, end_rate = self.contact(reading)
 
-        seen = lax.stop_gradient((start, start_rate, end, end_rate, step))
+        error = self.cubic_error(flight.blocks, phase, step)
+        seen = lax.stop_gradient((start, start_rate, end, end_rate, step, error))
 
         def propose():
             return self.proposal(seen, touching, tolerance)
@@ -334,6 +371,14 @@ def run(
     max_attempts: int | None,
 ) -> Flight:
     """Fly every lane `target` times over the duration, starting each time at drive time 0."""
+    # A stop without gap on a body without drive has no length of its own: take the state's.
+    weight = spread(loop.phases.towards_stop, 2, loop.lanes)
+    q, v = jnp.split(lax.stop_gradient(jnp.abs(state)), 2)
+    reach = q + v / loop.force.angular_frequency
+    size = jnp.max(jnp.sum(jnp.abs(weight) * reach, axis=1), axis=0, initial=0.0)
+    floor = jnp.broadcast_to(1e-9 * size, loop.force.depth_tolerance.shape)
+    tolerance = jnp.maximum(loop.force.depth_tolerance, floor)
+    loop.force = loop.force._replace(depth_tolerance=tolerance)
     flight = enter(loop, state)
     first = loop.next_step(flight.reading, flight.phase, duration)
     flight = flight._replace(step=jnp.broadcast_to(first, flight.time.shape))

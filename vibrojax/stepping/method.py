@@ -23,7 +23,7 @@ def measuring(tolerance: Float[Array, "..."]) -> Float[Array, "..."]:
 
     Extremes are those of cubics between steps: their error falls with the fourth power of it.
     """
-    return 6.0 * jnp.maximum(1e-4 / tolerance, 1.0) ** 0.25
+    return 14.0 * jnp.maximum(1e-4 / tolerance, 1.0) ** 0.25
 
 
 class AbstractMarch(eqx.Module):

@@ -21,6 +21,8 @@ from vibrojax.studies.axes import Lanes, lanes_of
 from vibrojax.studies.jumps import find_jumps
 from vibrojax.systems.base import AbstractSystem
 
+EXTENSIONS = 4
+"""Grid steps that a jump is followed beyond the one in which the sweep left its branch."""
 DIRECTIONS = {
     "both": ("forward", "backward"),
     "forward": ("forward",),
@@ -71,7 +73,7 @@ def _visit(
     )
 
 
-def _ratios(settled: Settled, reference: Array, angular_frequency: Array) -> dict[str, np.ndarray]:
+def _ratios(settled: Settled, reference: Array) -> dict[str, np.ndarray]:
     """Turn the sums of a lane into the variables of the result."""
     m = settled.measures
     time = jnp.where(m.time > 0, m.time, 1.0)
@@ -84,7 +86,7 @@ def _ratios(settled: Settled, reference: Array, angular_frequency: Array) -> dic
         "first_harmonic_ratio": harmonic / reference,
         "contact_force": m.force,
         "contact_fraction": m.contact_time / time,
-        "contacts_per_period": m.contacts * (2 * jnp.pi / angular_frequency) / time,
+        "contacts_per_period": m.contacts / settled.window,
     }
     return {name: np.asarray(jnp.where(lost, jnp.nan, v)) for name, v in values.items()} | {
         "period": np.asarray(settled.period),
@@ -213,7 +215,7 @@ class _Sweep:
             self.max_period,
             self.max_periods,
         )
-        return settled, _ratios(settled, self.prepared.reference, angular)
+        return settled, _ratios(settled, self.prepared.reference)
 
     def run(self, progress):
         from tqdm import tqdm
@@ -252,17 +254,25 @@ class _Sweep:
         low = np.where(found.exists, low, self.grid[0])
         high = np.where(found.exists, high, self.grid[0])
         scale = 1.0 if self.axis == "frequency_ratio" else float(np.min(self.natural_frequency))
-        widest = float(np.max(np.abs(high - low))) / scale
-        for _ in range(max(0, math.ceil(math.log2(max(widest / width, 1.0))))):
-            middle = (low + high) / 2
-            settled, values = self.visit(jnp.asarray(state), middle)
-            value = values["amplitude_ratio"]
-            same = np.abs(value - start) < np.abs(value - end)
-            # Just past a fold a lane lingers near the lost branch without ever settling on it.
-            same &= (values["period"] > 0) | ~settled_before
-            low, high = np.where(same, middle, low), np.where(same, high, middle)
-            start = np.where(same, value, start)
-            state = np.where(same, np.asarray(settled.state), state)
+        span = np.where(found.exists, high - low, 0.0)
+        halvings = max(0, math.ceil(math.log2(max(float(np.max(np.abs(span))) / scale / width, 1))))
+        for _ in range(EXTENSIONS):
+            inside = ~found.exists
+            for _ in range(halvings):
+                middle = (low + high) / 2
+                settled, values = self.visit(jnp.asarray(state), middle)
+                value = values["amplitude_ratio"]
+                same = np.abs(value - start) < np.abs(value - end)
+                # Just past a fold a lane lingers near the lost branch without settling on it.
+                same &= (values["period"] > 0) | ~settled_before
+                inside |= ~same
+                low, high = np.where(same, middle, low), np.where(same, high, middle)
+                start = np.where(same, value, start)
+                state = np.where(same, np.asarray(settled.state), state)
+            if inside.all():
+                break
+            # A coarse grid step can leave the branch ahead of its end: then look further on.
+            high = np.where(inside, high, low + span)
         found.set_brackets(low, high)
 
 
