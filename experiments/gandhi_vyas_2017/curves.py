@@ -105,7 +105,7 @@ def run_studies(formulation: str, quick: bool = False) -> Iterator[Study]:
             frequency_ratio=grid(name, formulation, quick),
             direction="forward" if forward_only else "both",
             refine_jumps=None if forward_only or quick else 1e-4,
-            max_periods=200 if name == "fig8to10" and not quick else 120,
+            max_periods=200 if name.startswith("fig") and not quick else 120,
             **axes_of(name, quick),
         )
         yield Study(name, formulation, num_modes, curve)

@@ -64,8 +64,8 @@ def draw_curve(axes: Axes, curve: vj.FrequencyResponse, lane: tuple[int, ...]) -
     ):
         if np.isfinite(jump):
             k = 1 if name == "up" else 0
-            ends = np.searchsorted(ratios, jump) + np.array([-1, 0])
-            low, high = np.sort(peak[k][np.clip(ends, 0, len(ratios) - 1)])
+            at = int(np.searchsorted(ratios, jump))
+            low, high = (f(peak[k][max(at - 3, 0) : at + 3]) for f in (np.min, np.max))
             start, end = (low, high) if name == "up" else (high, low)
             axes.annotate(
                 "",
@@ -74,6 +74,8 @@ def draw_curve(axes: Axes, curve: vj.FrequencyResponse, lane: tuple[int, ...]) -
                 arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.4, "ls": "-"},
                 zorder=6,
             )
+            if jump > ratios[0] + 0.88 * np.ptp(ratios):
+                side = "right"  # beyond the jump there is no room
             offset = -0.01 if side == "right" else 0.01
             axes.text(
                 jump + offset, high, f"{jump:.3f}", color=colour, fontsize=9, ha=side, va="bottom"
