@@ -30,7 +30,7 @@ CURVES = (
 )
 
 
-def _highest(values: Array) -> Array:
+def _highest(values: Array) -> Any:
     """Largest value along the last axis, leaving NaN out; NaN where there is nothing else."""
     highest = np.max(np.where(np.isnan(values), -np.inf, values), axis=-1)
     return np.where(np.isneginf(highest), np.nan, highest)[()]
