@@ -50,8 +50,10 @@ def forcing(
     for p, s in np.ndindex(count, stops):
         moved = complex_apply(phases.change[p, s], steady[p]) - steady[p ^ (1 << s)]
         change = change.at[p, s].set(moved)
-    size = spread(phases.gap, 1, angular_frequency.ndim) + jnp.abs(read[0, :stops])
-    size = jnp.max(size, axis=0, initial=0.0)
+    # A landing is judged by the gap: near resonance the steady response without stops says little.
+    gap = spread(phases.gap, 1, angular_frequency.ndim)
+    size = jnp.where(gap > 0, gap, jnp.abs(read[0, :stops]))
+    size = jnp.min(size, axis=0) if stops else jnp.zeros_like(angular_frequency)
     return Forcing(
         angular_frequency=angular_frequency,
         start_phase=start_phase,
