@@ -182,30 +182,36 @@ def settle(
         far = jnp.full((max_period, *frequency.shape), jnp.inf)
         return _Search(history, far, zero, marched, steps, done)
 
-    search = restart(state, zero, zero, jnp.zeros(frequency.shape, bool))
-    search = _march_until(march, weight, search, frequency, NEAR, max_period, max_periods)
-    period = _found_period(search.history, NEAR, max_period)
-    period = jnp.where(search.streak >= STEADY, period, 0)
-    found = search.history[0] / weight
-    candidates = jnp.stack([jnp.minimum(period, 1), period])
+    def march_and_polish(carry, rule):
+        search, state, good, orbit = carry
+        limit, try_newton = rule
+        done = good | (search.marched >= max_periods)
+        search = search._replace(streak=zero, done=done)
+        search = _march_until(march, weight, search, frequency, limit, max_period, max_periods)
+        period = _found_period(search.history, limit, max_period)
+        period = jnp.where(search.streak >= STEADY, period, 0)
+        found = search.history[0] / weight
+        state, orbit = jnp.where(good, state, found), jnp.where(good, orbit, period)
 
-    def try_period(carry, candidate):
-        # Period 1 first: a slowly turning period-1 motion returns best after several periods.
-        state, good, orbit = carry
-        wanted = jnp.where(good | (candidate == orbit), 0, candidate)
-        polished, fits = polish(march, weight, found, frequency, wanted)
-        state = jnp.where(fits, polished, state)
-        return (state, good | fits, jnp.where(fits, candidate, orbit)), None
+        def try_period(carry, candidate):
+            # Period 1 first: a slowly turning period-1 motion returns best after several periods.
+            state, good, orbit, last = carry
+            wanted = jnp.where(good | (candidate == last), 0, candidate)
+            polished, fits = polish(march, weight, found, frequency, wanted)
+            state = jnp.where(fits, polished, state)
+            return (state, good | fits, jnp.where(fits, candidate, orbit), candidate), None
 
-    start = (found, jnp.zeros(frequency.shape, bool), zero)
-    (polished, good, orbit), _ = lax.scan(try_period, start, candidates)
-    # What Newton did not settle marches on, to the full tolerance.
-    again = search._replace(streak=zero, done=good | (search.marched >= max_periods))
-    final = _march_until(march, weight, again, frequency, tolerance, max_period, max_periods)
-    late = _found_period(final.history, tolerance, max_period)
-    late = jnp.where(final.streak >= STEADY, late, 0)
-    state = jnp.where(good, polished, final.history[0] / weight)
-    period = jnp.where(good, orbit, late)
+        candidates = jnp.stack([jnp.minimum(period, 1), period]) * try_newton
+        (state, good, orbit, _), _ = lax.scan(try_period, (state, good, orbit, zero), candidates)
+        return (search, state, good, orbit), None
+
+    # Near the limit first, for Newton's method; what that does not settle goes on to the full
+    # tolerance. One loop for both, so that the march is compiled once.
+    nobody = jnp.zeros(frequency.shape, bool)
+    start = (restart(state, zero, zero, nobody), state, nobody, zero)
+    limits = jnp.stack([jnp.asarray(NEAR), jnp.asarray(tolerance, float)])
+    rules = (limits, jnp.array([1, 0], jnp.int32))
+    (final, state, _, period), _ = lax.scan(march_and_polish, start, rules)
     lost = ~jnp.all(jnp.isfinite(state), axis=0)
     # A lane that is lost starts again from rest at the next frequency.
     state = jnp.where(lost, 0.0, state)
