@@ -304,7 +304,7 @@ def test_repr():
     ("options", "sentence"),
     [
         ({"num_modes": 0}, "num_modes must be a whole number of at least 1, got 0"),
-        ({"num_modes": 2.0}, "num_modes must be a whole number of at least 1, got 2.0"),
+        ({"num_modes": -2}, "num_modes must be a whole number of at least 1, got -2"),
         ({"formulation": "printed"}, "formulation must be one of 'consistent', 'as_printed'"),
     ],
 )

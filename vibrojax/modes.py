@@ -1,5 +1,6 @@
 """Natural frequencies and mode shapes of a cantilever, differentiable in every number of it."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -50,7 +51,7 @@ class Modes(eqx.Module):
         return self.angular_frequency / (2 * np.pi)
 
     def shape(
-        self, s: Float[ArrayLike, "*points"] | float, *, derivative: int = 0
+        self, s: ArrayLike | Sequence[float], *, derivative: int = 0
     ) -> Float[Array, "*points modes"]:
         """Mode shapes, or a derivative of them with respect to s, at the places s = x/L.
 
