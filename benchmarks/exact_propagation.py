@@ -284,7 +284,7 @@ def tip_at_period_ends(problem: Problem, drive_frequency: float, periods: int) -
     return problem.tip(states)
 
 
-# Modes of /work/shared/reference/sweeps.json (5 modes, tip-normalised, consistent projection),
+# Modes of tests/data/sweeps.json (5 modes, tip-normalised, consistent projection),
 # made there by 50-digit power series: taper mu and mass ratio Mr of a 0.2 m x 25 mm x 1 mm beam,
 # E 130 GPa, rho 8250 kg/m3. Rows: w (rad/s), m (kg), Gamma, phi(1/2).
 _TAPER_HALF_MASS_HALF = np.array(  # C_MR0.5_mu0.5: mu 0.5, Mr 0.5
