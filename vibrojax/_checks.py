@@ -90,6 +90,19 @@ def check_not_negative(name: str, value: Any, unit: str, advice: str = "") -> No
     check_range(name, value, 0.0, allowed=f"at least 0 {unit}", advice=advice)
 
 
+def check_position(name: str, value: Any) -> None:
+    """Raise `ValueError` unless the value is a place on the beam off its root, x/L in (0, 1]."""
+    check_range(
+        name,
+        value,
+        0.0,
+        1.0,
+        include_low=False,
+        allowed="above 0 (root) and at most 1 (tip)",
+        advice="It is x/length.",
+    )
+
+
 def check_count(name: str, value: Any, least: int = 1) -> None:
     """Raise `ValueError` unless the value is a whole number of at least `least`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:

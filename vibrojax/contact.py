@@ -12,7 +12,7 @@ from vibrojax._checks import (
     as_number,
     check_choice,
     check_not_negative,
-    check_range,
+    check_position,
     concrete,
 )
 
@@ -139,15 +139,7 @@ class Stop(eqx.Module):
 
     def __check_init__(self) -> None:
         """Refuse concrete values that are not a stop."""
-        check_range(
-            "position",
-            self.position,
-            0.0,
-            1.0,
-            include_low=False,
-            allowed="above 0 (root) and at most 1 (tip)",
-            advice="It is x/length.",
-        )
+        check_position("position", self.position)
         check_not_negative("gap", self.gap, "m")
         if not isinstance(self.law, AbstractContactLaw):
             raise ValueError(f"law must be a contact law such as KelvinVoigt, got {self.law!r}.")

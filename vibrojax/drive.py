@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Complex, Float
 
-from vibrojax._checks import check_choice, check_not_negative, check_positive, check_range
+from vibrojax._checks import check_choice, check_not_negative, check_position, check_positive
 from vibrojax.contact import number_field
 
 
@@ -148,15 +148,7 @@ class PointForce(AbstractDrive):
     def __check_init__(self) -> None:
         """Refuse concrete values that are not a force on the beam."""
         check_not_negative("amplitude", self.amplitude, "N")
-        check_range(
-            "position",
-            self.position,
-            0.0,
-            1.0,
-            include_low=False,
-            allowed="above 0 (root) and at most 1 (tip)",
-            advice="It is x/length.",
-        )
+        check_position("position", self.position)
 
     def complex_amplitude(
         self, rate: Float[Array, "..."], second: Float[Array, "..."]

@@ -180,7 +180,6 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     at_rest = jnp.einsum("prs,ps->pr", readout, rest) - offset
     # Block coordinates count from rest, where nothing accelerates.
     at_rest = at_rest.at[:, 2 * count : 3 * count].set(0.0)
-    root_mass = jnp.sqrt(equations.modal_mass)
     return ContactPhases(
         exponent=exponent,
         rate=rate,
@@ -197,7 +196,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         gap=gap,
         stiffness=stiffness,
         damping=damping,
-        weight=jnp.concatenate([root_mass * equations.angular_frequency, root_mass]),
+        weight=equations.energy_weight,
         can_pull=tuple(stop.law.can_pull for stop in stops),
     )
 

@@ -225,8 +225,10 @@ class ExactContact(AbstractMethod):
         if self.steps_per_period is not None:
             return self.steps_per_period
         _, rate, _ = motion.waveform.phase(jnp.zeros(()))
-        linear = _linear(motion.equations, "ExactContact")
-        steps = concrete(_exact_steps(linear, rate, jnp.asarray(self.tolerance)))
+        phases = motion.prepared
+        if phases is None:
+            phases = _contact_phases(_linear(motion.equations, "ExactContact"))
+        steps = concrete(_exact_steps(phases, rate, jnp.asarray(self.tolerance)))
         return 64 if steps is None else max(32, math.ceil(float(steps)))
 
     def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> ExactMarch:
@@ -263,8 +265,7 @@ class SplittingMarch(AbstractMarch):
 
     def energy_weight(self) -> Float[Array, "states *lanes"]:
         """Return weights that make (q, q') comparable."""
-        root_mass = jnp.sqrt(self.equations.modal_mass)
-        return jnp.concatenate([root_mass * self.equations.angular_frequency, root_mass])
+        return self.equations.energy_weight
 
 
 class ExponentialSplitting(AbstractMethod):
@@ -318,12 +319,12 @@ class ExponentialSplitting(AbstractMethod):
         return int(steps)
 
 
+_contact_phases = jax.jit(contact_phases)
 _splitting_steps = jax.jit(splitting.steps_for)
 
 
 @jax.jit
-def _exact_steps(equations, rate, tolerance):
-    phases = contact_phases(equations)
+def _exact_steps(phases, rate, tolerance):
     step = exact_contact.longest_step(phases, rate, tolerance, None)
     return 2 * jnp.pi / rate / step
 

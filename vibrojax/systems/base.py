@@ -148,9 +148,10 @@ class LinearEquations(AbstractEquations):
         return self.response_map @ q
 
     @property
-    def has_linear_stops(self) -> bool:
-        """Whether contact and flight are both exactly linear."""
-        return all(stop.is_linear for stop in self.stops)
+    def energy_weight(self) -> Float[Array, "states *lanes"]:
+        """Weights of (q, q'): the norm of a weighted state is the root of twice its energy."""
+        root_mass = jnp.sqrt(self.modal_mass)
+        return jnp.concatenate([root_mass * self.angular_frequency, root_mass])
 
     def acceleration(
         self,
