@@ -1,0 +1,277 @@
+"""Periodic motions as exact solutions between contact times.
+
+With linear stops every phase of a motion has its exact propagator (`ContactPhases`). A periodic
+motion is then known from one state and the sequence in which stops are touched and left: no
+samples, no harmonics, no rounding, and no search, since the contact times only have to be
+corrected. Whether the motion keeps to its sequence (a virtual orbit does not) is checked when it
+is read.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float, Int
+
+from vibrojax.drive import AbstractDrive
+from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks
+from vibrojax.stepping.elementary import cosine
+
+lax = jax.lax
+
+MOST_EVENTS = 16
+"""Touches and departures in a motion: room for eight contacts."""
+
+
+class Events(NamedTuple):
+    """Which stops change contact, in order of time."""
+
+    stop: Int[Array, " events"]
+    """Index of the stop that changes its contact; -1 where there is no event."""
+    first_phase: Int[Array, ""]
+    """Set of touching stops at the section."""
+    section: Float[Array, ""]
+    """Drive phase (rad) at which the state is taken."""
+
+    @property
+    def count(self) -> Int[Array, ""]:
+        """How many events there are."""
+        return jnp.sum(self.stop >= 0, dtype=jnp.int32)
+
+
+class Orbit(NamedTuple):
+    """A motion: its state at the section and the drive phases (rad) of its events."""
+
+    state: Float[Array, " states"]
+    times: Float[Array, " events"]
+
+
+class Tables(NamedTuple):
+    """What one lane needs at one drive frequency."""
+
+    phases: ContactPhases
+    steady: Complex[Array, "phases states"]
+    rows: Complex[Array, "phases rows"]
+    """What the read-out rows see of the steady response."""
+    angular_frequency: Float[Array, ""]
+
+
+def tables_of(
+    phases: ContactPhases, drive: AbstractDrive, angular_frequency: Float[Array, ""]
+) -> Tables:
+    """Tabulate the steady response of every phase."""
+    zero = jnp.zeros_like(angular_frequency)
+    amplitude = drive.complex_amplitude(angular_frequency, zero)
+    steady = forced_blocks(phases, amplitude, angular_frequency)
+    rows = jnp.einsum("prs,ps->pr", phases.readout, steady)
+    # The steady response is no free motion of a block: its acceleration is -w^2 its depth.
+    s = phases.num_stops
+    rows = rows.at[:, 2 * s : 3 * s].set(-(angular_frequency**2) * rows[:, :s])
+    return Tables(phases, steady, rows, angular_frequency)
+
+
+def _forced(tables: Tables, phase, angle):
+    steady = tables.steady[phase]
+    wave = jnp.sin(angle) * steady.real + jnp.cos(angle) * steady.imag
+    return wave + tables.phases.rest[phase]
+
+
+def _turned(tables: Tables, phase, blocks, angle):
+    """Advance block coordinates over a drive angle."""
+    phases, n = tables.phases, tables.phases.num_blocks
+    time = angle / tables.angular_frequency
+    growth = jnp.exp(phases.exponent[phase] * time)
+    turn = phases.rate[phase] * time
+    c, s = cosine(turn), cosine(turn - np.pi / 2)
+    top, bottom = blocks[:n], blocks[n:]
+    # Real pairs have rate 0: cosine 1, sine 0, each row with its own exponent.
+    return jnp.concatenate([growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)])
+
+
+def _lateness(tables: Tables, phase, stop, moved, angle):
+    """First-order time (rad) by which the stop's change of contact comes later than the angle."""
+    phases, stops = tables.phases, tables.phases.num_stops
+    sine, cosine_ = jnp.sin(angle), jnp.cos(angle)
+
+    def read(row):
+        steady = tables.rows[phase, row]
+        forced = sine * steady.real + cosine_ * steady.imag
+        return phases.readout[phase, row] @ moved + phases.readout_rest[phase, row] + forced
+
+    value, slope = read(stop), read(stops + stop)
+    if not all(phases.can_pull):
+        stiffness, damping = phases.stiffness[stop], phases.damping[stop]
+        unit = stiffness + damping * tables.angular_frequency
+        safe = jnp.where(unit > 0, unit, 1.0)
+        touching = (phase >> stop) & 1 == 1
+        pushes = touching & ~jnp.asarray(phases.can_pull)[stop] & (unit > 0)
+        force = (stiffness * value + damping * slope) / safe
+        force_slope = (stiffness * slope + damping * read(2 * stops + stop)) / safe
+        value, slope = jnp.where(pushes, force, value), jnp.where(pushes, force_slope, slope)
+    slope = lax.stop_gradient(slope) / tables.angular_frequency
+    # Far from the motion a full correction can throw an event out of its order.
+    return jnp.clip(-value / jnp.where(slope == 0, 1.0, slope), -0.3, 0.3)
+
+
+class Course(NamedTuple):
+    """A motion followed through its events; one column per phase passed."""
+
+    end: Float[Array, " states"]
+    times: Float[Array, " events"]
+    """Event times, corrected once."""
+    phase: Int[Array, " segments"]
+    blocks: Float[Array, "states segments"]
+    """Block coordinates where the segment begins."""
+    start: Float[Array, " segments"]
+    stop: Float[Array, " segments"]
+
+
+def follow_events(
+    tables: Tables,
+    events: Events,
+    orbit: Orbit,
+    period: int,
+    count: int | Int[Array, ""] | None = None,
+) -> Course:
+    """Follow a motion from the section through its events, over `period` drive periods.
+
+    Every event is moved to where its stop changes contact, to first order: at a motion whose times
+    are right nothing moves, and the derivative includes the change of the times (saltation).
+    `count` is the number of events to go through; without it all places are, which reverse mode
+    needs.
+    """
+    phases = tables.phases
+    room = orbit.times.size
+    last = events.section + 2 * np.pi * period
+    size = room + 1
+    zero = jnp.zeros(size) + last
+    start = (
+        orbit.state,
+        events.first_phase,
+        events.section,
+        orbit.times,
+        jnp.zeros(size, jnp.int32) + events.first_phase,
+        jnp.zeros((orbit.state.size, size)),
+        zero,
+        zero,
+    )
+
+    def segment(j, carry):
+        state, phase, begun, times, phases_passed, blocks_passed, starts, ends = carry
+        final = j >= room
+        k = jnp.minimum(j, room - 1)
+        stop = jnp.where(final, -1, events.stop[k])
+        used, s = stop >= 0, jnp.maximum(stop, 0)
+        angle = jnp.where(used, times[k], last)
+        blocks = phases.from_state[phase] @ state - _forced(tables, phase, begun)
+        if phases.num_stops:
+            moved = _turned(tables, phase, blocks, angle - begun)
+            angle = angle + jnp.where(used, _lateness(tables, phase, s, moved, angle), 0.0)
+        moved = _turned(tables, phase, blocks, angle - begun)
+        state = phases.to_state[phase] @ (moved + _forced(tables, phase, angle))
+        return (
+            state,
+            jnp.where(used, phase ^ (1 << s), phase),
+            angle,
+            times.at[k].set(jnp.where(final, times[k], angle)),
+            phases_passed.at[j].set(phase),
+            blocks_passed.at[:, j].set(blocks),
+            starts.at[j].set(begun),
+            ends.at[j].set(angle),
+        )
+
+    steps = size if count is None else jnp.minimum(count, room) + 1
+    end, phase, _, times, passed, blocks, starts, ends = lax.fori_loop(0, steps, segment, start)
+    passed = jnp.where(jnp.arange(size) < steps, passed, phase)
+    return Course(end, times, passed, blocks, starts, ends)
+
+
+class Solved(NamedTuple):
+    """A periodic motion found by Newton's method."""
+
+    orbit: Orbit
+    parameter: Float[Array, ""]
+    residual: Float[Array, ""]
+    """Largest of the return of the state and the last moves of the events, relative."""
+    jacobian: Float[Array, "states states"]
+    """Of the period map, in units of energy: the monodromy matrix."""
+    slope: Float[Array, " states"]
+    """Derivative of the period map in the parameter."""
+
+
+def null_vector(matrix: Float[Array, "rows rows"], slope: Float[Array, " rows"]) -> Array:
+    """Unit vector that the matrix, with the slope as one more column, maps to zero."""
+    whole = jnp.concatenate([matrix, slope[:, None]], axis=1)
+    return jnp.linalg.qr(whole.T, mode="complete")[0][:, -1]
+
+
+def solve_orbit(
+    tables_at,
+    events: Events,
+    orbit: Orbit,
+    parameter: Float[Array, ""],
+    period: int,
+    *,
+    hold: bool,
+    iterations: int = 4,
+) -> Solved:
+    """Newton's method on the state at the section, the event times following.
+
+    `tables_at(parameter)` gives the tables. With `hold` the parameter stays; else the motion moves
+    across the branch through the guess, so that a fold is no obstacle.
+    """
+    n = orbit.state.size
+    count = events.count
+    weight = tables_at(parameter).phases.weight
+    eye = jnp.eye(n + 1)
+
+    def image(x, p, times):
+        tables = tables_at(p)
+        orbit = Orbit(x * (size / tables.phases.weight), times)
+        course = follow_events(tables, events, orbit, period, count)
+        return course.end * (tables.phases.weight / size), course.times
+
+    guess = weight * orbit.state
+
+    def linearised(x, p, times):
+        (end, moved), push = jax.linearize(lambda x, p: image(x, p, times), x, p)
+        columns = jax.vmap(lambda e: push(e[:-1], e[-1])[0], out_axes=1)(eye)
+        return end, moved, columns[:, :-1], columns[:, -1]
+
+    energy = jnp.sqrt(jnp.sum(guess**2))
+    size = lax.stop_gradient(jnp.where(energy > 0, energy, 1.0))
+
+    def newton(carry, last):
+        x, p, times, normal, _ = carry
+        end, moved, matrix, slope = linearised(x, p, times)
+        shifted = matrix - eye[:n, :n]
+        if hold:
+            normal = eye[-1]
+        else:
+            first = jnp.all(normal == 0)
+            normal = jnp.where(first, null_vector(shifted, slope), normal)
+        bordered = jnp.block([[shifted, slope[:, None]], [normal[None]]])
+        change = jnp.linalg.solve(bordered, -jnp.append(end - x, 0.0))
+        used = events.stop >= 0
+        error = jnp.maximum(
+            jnp.max(jnp.abs(end - x)),
+            jnp.max(jnp.where(used, jnp.abs(moved - times), 0.0), initial=0.0),
+        )
+        length = jnp.max(jnp.abs(change))
+        change = change * jnp.minimum(1.0, 0.5 / jnp.where(length > 0, length, 1.0))
+        stay = jnp.asarray(last)
+        return (
+            jnp.where(stay, x, x + change[:-1]),
+            jnp.where(stay, p, p + change[-1]),
+            jnp.where(stay, times, moved),
+            normal,
+            (error, matrix, slope),
+        ), None
+
+    empty = (jnp.inf, jnp.zeros((n, n)), jnp.zeros(n))
+    carry = (guess / size, parameter, orbit.times, jnp.zeros(n + 1), empty)
+    rounds = jnp.arange(iterations + 1) == iterations
+    (x, p, times, _, (error, matrix, slope)), _ = lax.scan(newton, carry, rounds)
+    state = x * size / tables_at(p).phases.weight
+    return Solved(Orbit(state, times), p, error, matrix, slope)

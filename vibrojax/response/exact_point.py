@@ -1,0 +1,95 @@
+"""A point of a branch made exact: from a sampled motion to contact times, tangent and stability."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Complex, Float
+
+from vibrojax.response.contact_times import (
+    Events,
+    Orbit,
+    follow_events,
+    null_vector,
+    solve_orbit,
+)
+from vibrojax.response.orbit_reading import Reading, find_crossings, read_course, state_at
+
+ACCURATE = 1e-9
+"""Largest relative residual of an exact motion."""
+BREACH = 1e-8
+"""Largest breach of the sequence of events, over the size of the motion."""
+
+
+class ExactPoint(NamedTuple):
+    """A point of a branch as an exact motion, with its tangent and its stability."""
+
+    parameter: Float[Array, ""]
+    events: Events
+    orbit: Orbit
+    residual: Float[Array, ""]
+    tangent: Float[Array, " states_and_parameter"]
+    """Direction of the branch in the state at the section and the parameter; its sign is free."""
+    multipliers: Complex[Array, " states"]
+    reading: Reading
+    valid: Bool[Array, ""]
+
+
+class Guess(NamedTuple):
+    """A sequence of events and a motion near the one wanted."""
+
+    events: Events
+    orbit: Orbit
+    fits: Bool[Array, ""]
+    """Whether there was room for all events."""
+
+
+def exact_point(
+    tables_at,
+    guess: Guess,
+    parameter: Float[Array, ""],
+    period: int,
+    *,
+    hold: bool,
+    iterations: int = 4,
+) -> tuple[ExactPoint, Guess]:
+    """Turn a guess into an exact motion; also return the next guess, should it not be valid.
+
+    `hold` keeps the parameter; else the motion moves across the branch, so that folds are no
+    obstacle. The next guess takes the events from the motion found.
+    """
+    events = guess.events
+    solved = solve_orbit(
+        tables_at, events, guess.orbit, parameter, period, hold=hold, iterations=iterations
+    )
+    tables = tables_at(solved.parameter)
+    course = follow_events(tables, events, solved.orbit, period, events.count)
+    reading = read_course(tables, events, course, period)
+    n = solved.orbit.state.size
+    size = jnp.maximum(
+        jnp.max(jnp.abs(tables.phases.gap), initial=0.0),
+        jnp.maximum(reading.highest, -reading.lowest),
+    )
+    whole = jnp.all(jnp.isfinite(solved.jacobian)) & jnp.isfinite(solved.residual)
+    valid = (
+        whole
+        & (solved.residual < ACCURATE)
+        & reading.ordered
+        & ~(reading.breach > BREACH * size)
+        & guess.fits
+    )
+    matrix = jnp.where(jnp.isfinite(solved.jacobian), solved.jacobian, 0.0)
+    point = ExactPoint(
+        parameter=solved.parameter,
+        events=events,
+        orbit=solved.orbit,
+        residual=solved.residual,
+        tangent=null_vector(matrix - jnp.eye(n), solved.slope),
+        multipliers=jnp.linalg.eigvals(matrix),
+        reading=reading,
+        valid=valid,
+    )
+    room = solved.orbit.times.size
+    found = find_crossings(reading.depth, reading.change, room, period)
+    state = state_at(tables, course, found.events.section, events.section, period)
+    following = Guess(found.events, Orbit(state, found.times), found.count <= room)
+    return point, following
