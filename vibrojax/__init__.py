@@ -33,5 +33,7 @@ from vibrojax.systems.base import AbstractSystem as AbstractSystem
 from vibrojax.systems.base import LinearEquations as LinearEquations
 from vibrojax.systems.base import Motion as Motion
 from vibrojax.systems.impacting_beam import ImpactingBeam as ImpactingBeam
+from vibrojax.systems.matrix_system import MatrixModes as MatrixModes
+from vibrojax.systems.matrix_system import MatrixSystem as MatrixSystem
 
 __version__ = "0.1.0"

@@ -122,8 +122,8 @@ class Stop(eqx.Module):
     fig. 3 and eq. 7.
     """
 
-    position: float | Float[Array, "..."] = number_field("position")
-    """Place along the beam, s1 = x/L."""
+    position: float | Float[Array, "..."] | None = number_field("position")
+    """Place along the beam, s1 = x/L; None for a `MatrixSystem`, whose `stop_map` places it."""
     gap: float | Float[Array, "..."] = number_field("gap")
     """Clearance lambda between the beam at rest and the stop, m."""
     law: AbstractContactLaw  # pyright: ignore[reportGeneralTypeIssues]

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from vibrojax._checks import check_choice, is_traced
 from vibrojax.results.status import Status
-from vibrojax.systems.base import AbstractSystem, Motion
+from vibrojax.systems.base import AbstractSystem, LinearEquations, Motion
 from vibrojax.systems.impacting_beam import ImpactingBeam
 
 if TYPE_CHECKING:
@@ -75,20 +75,26 @@ class History(eqx.Module):
         status = jnp.where(ended, Status.completed.value, Status.diverged.value)
         return cls(system, motion, time, q, v, accelerations, force, status)
 
-    def _shape(self, position: ArrayLike) -> Float[Array, " coordinates"]:
-        if not isinstance(self.system, ImpactingBeam):
+    def _shape(self, position: ArrayLike | None) -> Float[Array, " coordinates"]:
+        equations = self.motion.equations
+        if position is None and isinstance(equations, LinearEquations):
+            return equations.response_map
+        if position is None or not isinstance(self.system, ImpactingBeam):
             raise ValueError("Only the history of a beam has a position along it.")
         return self.system.modes().shape(position)
 
-    def displacement(self, position: ArrayLike = 1.0) -> Float[Array, " samples"]:
-        """Displacement relative to the base at s = x/L, m."""
+    def displacement(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
+        """Displacement relative to the base at s = x/L of a beam, m.
+
+        Without a position, here and below: what a frequency response reports, the tip of a beam.
+        """
         return self.coordinates @ self._shape(position)
 
-    def velocity(self, position: ArrayLike = 1.0) -> Float[Array, " samples"]:
+    def velocity(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
         """Velocity relative to the base at s = x/L, m/s."""
         return self.rates @ self._shape(position)
 
-    def acceleration(self, position: ArrayLike = 1.0) -> Float[Array, " samples"]:
+    def acceleration(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
         """Acceleration relative to the base at s = x/L, m/s2.
 
         With contact damping the force jumps at touch, and the peak of the acceleration does not
@@ -96,7 +102,7 @@ class History(eqx.Module):
         """
         return self.accelerations @ self._shape(position)
 
-    def quantity(self, name: str, position: ArrayLike = 1.0) -> Float[Array, " samples"]:
+    def quantity(self, name: str, position: ArrayLike | None = None) -> Float[Array, " samples"]:
         """Return a quantity by name; the contact force is that of all stops together."""
         check_choice("quantity", name, tuple(QUANTITIES))
         if name == "contact_force":
@@ -106,7 +112,7 @@ class History(eqx.Module):
     def spectrum(
         self,
         quantity: str = "displacement",
-        position: ArrayLike = 1.0,
+        position: ArrayLike | None = None,
         *,
         start: float = 0.0,
         window: str = "hann",
@@ -146,10 +152,12 @@ class History(eqx.Module):
             "accelerations": named(self.accelerations, "m/s2", "Modal accelerations", "mode"),
             "contact_force": named(self.contact_force, "N", "Contact force", "stop"),
         }
-        if isinstance(self.system, ImpactingBeam):
+        if isinstance(self.motion.equations, LinearEquations):
+            beam = isinstance(self.system, ImpactingBeam)
+            prefix, place = ("tip_", " of the tip") if beam else ("", "")
             for name in ("displacement", "velocity", "acceleration"):
                 units, label = QUANTITIES[name]
-                data[f"tip_{name}"] = named(getattr(self, name)(), units, f"{label} of the tip")
+                data[prefix + name] = named(getattr(self, name)(), units, label + place)
         coordinates = {
             "time": ("time", np.asarray(self.time), {"units": "s", "long_name": "Time"}),
             "mode": np.arange(1, self.coordinates.shape[1] + 1),
@@ -158,7 +166,7 @@ class History(eqx.Module):
         attributes = {"status": Status(int(self.status)).name, "rig": repr(self.system)}
         return xarray.Dataset(data, coordinates, attrs=attributes)
 
-    def plot(self, quantity: str = "displacement", position: ArrayLike = 1.0) -> "Figure":
+    def plot(self, quantity: str = "displacement", position: ArrayLike | None = None) -> "Figure":
         """Draw a quantity and the contact force against time."""
         from vibrojax.results.history_plot import plot_history
 

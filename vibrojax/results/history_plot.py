@@ -6,11 +6,13 @@ import numpy as np
 from jaxtyping import ArrayLike
 from matplotlib.figure import Figure
 
+from vibrojax.systems.impacting_beam import ImpactingBeam
+
 if TYPE_CHECKING:
     from vibrojax.results.history import History
 
 
-def plot_history(history: "History", quantity: str, position: ArrayLike) -> Figure:
+def plot_history(history: "History", quantity: str, position: ArrayLike | None) -> Figure:
     """Draw a quantity against time, and below it the force of every stop."""
     from vibrojax.results.history import QUANTITIES
 
@@ -20,7 +22,10 @@ def plot_history(history: "History", quantity: str, position: ArrayLike) -> Figu
     figure = Figure(figsize=(10, 6 if stops else 4), dpi=150, layout="constrained")
     panels = figure.subplots(2 if stops else 1, 1, sharex=True, squeeze=False)[:, 0]
     unit, label = QUANTITIES[quantity]
-    place = "" if quantity == "contact_force" else f" at x/L = {float(np.asarray(position)):g}"
+    if position is None and isinstance(history.system, ImpactingBeam):
+        position = 1.0
+    nowhere = position is None or quantity == "contact_force"
+    place = "" if nowhere else f" at x/L = {float(np.asarray(position)):g}"
     panels[0].plot(time, np.asarray(history.quantity(quantity, position)), linewidth=1.0)
     panels[0].set_ylabel(f"{label}{place} [{unit}]", fontsize=11)
     if stops:

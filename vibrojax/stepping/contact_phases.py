@@ -120,11 +120,14 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     w = equations.angular_frequency / unit
     places, pushes = equations.stop_map, equations.force_map / unit**2
     scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)])
+    flight_damping = jnp.diag(2 * equations.damping_ratio * w)
+    if equations.damping_coupling is not None:
+        flight_damping = flight_damping + equations.damping_coupling / unit
 
     def one(touching):
         push = pushes * touching
         lower_q = -jnp.diag(w**2) - (push * stiffness) @ places
-        lower_v = -jnp.diag(2 * equations.damping_ratio * w) - (push * damping * unit) @ places
+        lower_v = -flight_damping - (push * damping * unit) @ places
         matrix = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [lower_q, lower_v]])
         values, vectors = _eigen(matrix)
         complex_pairs = jnp.sum(values.imag > 0)

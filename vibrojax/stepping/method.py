@@ -272,7 +272,8 @@ class ExponentialSplitting(AbstractMethod):
     """Exact modes and kicks of contact with a force-gradient correction, at equal steps.
 
     For every contact law and any number of stops; the corner of the force is rounded over
-    `Stop.width`. Raises `ValueError` for a tolerance outside (0, 0.1] or fewer than 4 steps.
+    `Stop.width`. Raises `ValueError` for a tolerance outside (0, 0.1] or fewer than 4 steps, and,
+    when used, for damping that couples the modes.
     """
 
     tolerance: float = eqx.field(default=1e-4)
@@ -286,12 +287,12 @@ class ExponentialSplitting(AbstractMethod):
 
     def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> SplittingMarch:
         """Keep the equations: there is nothing to compute before the frequency is known."""
-        linear = _linear(equations, "ExponentialSplitting")
+        linear = _uncoupled(equations)
         return SplittingMarch(linear, drive, jnp.asarray(self.tolerance), self.steps_per_period)
 
     def init(self, terms, t0, t1, y0, args) -> None:
         """Keep nothing between steps, for diffrax."""
-        _linear(_motion_of(args).equations, "ExponentialSplitting")
+        _uncoupled(_motion_of(args).equations)
 
     def advance(
         self,
@@ -309,7 +310,7 @@ class ExponentialSplitting(AbstractMethod):
         if self.steps_per_period is not None:
             return self.steps_per_period
         _, rate, _ = motion.waveform.phase(jnp.zeros(()))
-        linear = _linear(motion.equations, "ExponentialSplitting")
+        linear = _uncoupled(motion.equations)
         steps = concrete(_splitting_steps(linear, rate, jnp.asarray(self.tolerance)))
         if steps is None:
             raise ValueError(
@@ -333,6 +334,12 @@ def _linear(equations: AbstractEquations, method: str) -> LinearEquations:
     if not isinstance(equations, LinearEquations):
         raise ValueError(f"{method} needs a system that is linear but for its stops.")
     return equations
+
+
+def _uncoupled(equations: AbstractEquations) -> LinearEquations:
+    linear = _linear(equations, "ExponentialSplitting")
+    splitting.check_uncoupled(linear)
+    return linear
 
 
 def check_settings(tolerance: float, steps_per_period: int | None) -> None:

@@ -59,12 +59,25 @@ def drift(
     return Drift(even + zeta * w * odd, odd, -(w**2) * odd, even - zeta * w * odd)
 
 
+def check_uncoupled(equations: LinearEquations) -> None:
+    """Raise `ValueError` when the damping couples the modes: the drift takes them one by one."""
+    if equations.damping_coupling is not None:
+        raise ValueError(
+            "ExponentialSplitting needs modal damping without coupling. Use ExactContact() or a "
+            "diffrax solver."
+        )
+
+
 def steady(
     equations: LinearEquations,
     amplitude: Complex[Array, "*#lanes"],
     angular_frequency: Float[Array, "*#lanes"],
 ) -> Complex[Array, "states *#lanes"]:
-    """Complex amplitude of (q, q') in the steady response without stops."""
+    """Complex amplitude of (q, q') in the steady response without stops.
+
+    Raises `ValueError` when the damping couples the modes.
+    """
+    check_uncoupled(equations)
     omega, lanes = angular_frequency, angular_frequency.ndim
     w = spread(equations.angular_frequency, 1, lanes)
     zeta = spread(equations.damping_ratio, 1, lanes)

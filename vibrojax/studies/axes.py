@@ -34,6 +34,10 @@ class Lanes(eqx.Module):
         return tuple(len(values) for values in self.axes.values())
 
 
+def _alike(systems: list[AbstractSystem]) -> bool:
+    return all(jax.tree.structure(s) == jax.tree.structure(systems[0]) for s in systems)
+
+
 def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[str, Any]) -> Lanes:
     """Build one system, or one for every combination of the axes.
 
@@ -73,7 +77,9 @@ def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[
     if not swept:
         return Lanes(as_arrays(made[0]), made[0], {}, repr(made[0]))
     arrays = [as_arrays(one) for one in made]
-    if any(jax.tree.structure(a) != jax.tree.structure(arrays[0]) for a in arrays):
+    if not _alike(arrays):
+        arrays = [as_arrays(one.with_fixed_structure()) for one in made]
+    if not _alike(arrays):
         raise ValueError(
             "All systems of a study must have the same structure (stops, laws, num_modes): only "
             "numbers can be axes."

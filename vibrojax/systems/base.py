@@ -18,6 +18,7 @@ from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive, AbstractWaveform
 
 ModuleType = TypeVar("ModuleType", bound=eqx.Module)
+SystemType = TypeVar("SystemType", bound="AbstractSystem")
 
 
 class AbstractEquations(eqx.Module):
@@ -91,9 +92,9 @@ class AbstractEquations(eqx.Module):
 class LinearEquations(AbstractEquations):
     """Modal equations of a body that is linear but for its stops.
 
-    q_i'' + 2 zeta_i w_i q_i' + w_i^2 q_i = input_i a(t) - sum over stops force_map_is F_s. The
-    equations of the beam, and of anything reduced to its modes. Source: Gandhi and Vyas 2017,
-    eqs. 36 and 37. Arrays may carry lanes as trailing axes.
+    q_i'' + 2 zeta_i w_i q_i' + sum over j of coupling_ij q_j' + w_i^2 q_i = input_i a(t) - sum
+    over stops force_map_is F_s. The equations of the beam, and of anything reduced to its modes.
+    Source: Gandhi and Vyas 2017, eqs. 36 and 37. Arrays may carry lanes as trailing axes.
     """
 
     stops: tuple[Stop, ...]
@@ -111,6 +112,11 @@ class LinearEquations(AbstractEquations):
     """Displacement that a frequency response reports, by coordinate."""
     modal_mass: Float[Array, "coordinates *lanes"]
     """Modal masses, kg; weights of the energy."""
+    damping_coupling: Float[Array, "coordinates coordinates *lanes"] | None = None
+    """Damping beyond 2 zeta_i w_i: deceleration of coordinate i by the rate of j, 1/s.
+
+    None where the damping does not couple the modes.
+    """
 
     @property
     def size(self) -> int:
@@ -126,7 +132,13 @@ class LinearEquations(AbstractEquations):
     ) -> Float[Array, " coordinates"]:
         """Return C q' + K q."""
         w = self.angular_frequency
-        return self.modal_mass * (2 * self.damping_ratio * w * rate + w**2 * q)
+        return self.modal_mass * (self._damping(rate) + w**2 * q)
+
+    def _damping(self, rate: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+        diagonal = 2 * self.damping_ratio * self.angular_frequency * rate
+        if self.damping_coupling is None:
+            return diagonal
+        return diagonal + self.damping_coupling @ rate
 
     def smooth_force(
         self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
@@ -161,7 +173,7 @@ class LinearEquations(AbstractEquations):
     ) -> Float[Array, " coordinates"]:
         """Solve the equation of motion for q'', without forming the diagonal mass matrix."""
         w = self.angular_frequency
-        free = self.input_map * drive_input - 2 * self.damping_ratio * w * rate - w**2 * q
+        free = self.input_map * drive_input - self._damping(rate) - w**2 * q
         return free - self.force_map @ self.contact_forces(q, rate)
 
 
@@ -173,6 +185,27 @@ class AbstractSystem(eqx.Module):
     @abstractmethod
     def equations(self) -> AbstractEquations:
         """Compute the equations of motion from the numbers of the system."""
+
+    def with_fixed_structure(self: SystemType) -> SystemType:
+        """Return the system with nothing left in its structure that its numbers decided.
+
+        So that the systems of a study can be stacked; most systems are so already.
+        """
+        return self
+
+
+def as_stops(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:
+    """Return one stop or several as a tuple."""
+    return (stops,) if isinstance(stops, Stop) else tuple(stops)
+
+
+def check_stops_and_drive(stops: tuple[Stop, ...], drive: AbstractDrive) -> None:
+    """Raise `ValueError` unless they are stops and a drive."""
+    for stop in stops:
+        if not isinstance(stop, Stop):
+            raise ValueError(f"stops must hold Stop objects, got {stop!r}.")
+    if not isinstance(drive, AbstractDrive):
+        raise ValueError(f"drive must be BaseMotion, PointForce or NoDrive, got {drive!r}.")
 
 
 def as_arrays(system: ModuleType) -> ModuleType:

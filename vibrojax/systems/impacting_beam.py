@@ -9,11 +9,12 @@ from vibrojax.beam import Cantilever
 from vibrojax.contact import Stop, number_field
 from vibrojax.drive import AbstractDrive, NoDrive, PointForce
 from vibrojax.modes import FORMULATIONS, Modes, modes
-from vibrojax.systems.base import AbstractSystem, LinearEquations
-
-
-def _as_stops(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:
-    return (stops,) if isinstance(stops, Stop) else tuple(stops)
+from vibrojax.systems.base import (
+    AbstractSystem,
+    LinearEquations,
+    as_stops,
+    check_stops_and_drive,
+)
 
 
 class ImpactingBeam(AbstractSystem):
@@ -22,12 +23,12 @@ class ImpactingBeam(AbstractSystem):
     Displacements are relative to the base. Source: Gandhi and Vyas 2017, eqs. 8, 36 and 37; the
     default `consistent` formulation corrects their modal mass and participation (see `modes`).
 
-    Raises `ValueError` for num_modes below 1, a negative damping ratio, an unknown formulation, or
-    stops and drive that are none.
+    Raises `ValueError` for num_modes below 1, a negative damping ratio, an unknown formulation,
+    stops and drive that are none, or a stop without a position.
     """
 
     beam: Cantilever
-    stops: tuple[Stop, ...] = eqx.field(converter=_as_stops, default=())
+    stops: tuple[Stop, ...] = eqx.field(converter=as_stops, default=())
     """One or several stops, on either side."""
     drive: AbstractDrive = eqx.field(default_factory=NoDrive)
     """Base motion, point force or none."""
@@ -42,13 +43,13 @@ class ImpactingBeam(AbstractSystem):
         """Refuse concrete values that are not a rig."""
         if not isinstance(self.beam, Cantilever):
             raise ValueError(f"beam must be a Cantilever, got {self.beam!r}.")
+        check_stops_and_drive(self.stops, self.drive)
         for stop in self.stops:
-            if not isinstance(stop, Stop):
-                raise ValueError(f"stops must hold Stop objects, got {stop!r}.")
-        if not isinstance(self.drive, AbstractDrive):
-            raise ValueError(
-                f"drive must be BaseMotion, PointForce or NoDrive, got {self.drive!r}."
-            )
+            if stop.position is None:
+                raise ValueError(
+                    "position must be above 0 (root) and at most 1 (tip), got None. Give every "
+                    "Stop of a beam its place; None is for a MatrixSystem."
+                )
         check_not_negative("damping_ratio", self.damping_ratio, "(fraction of critical)")
         check_count("num_modes", self.num_modes)
         check_choice("formulation", self.formulation, FORMULATIONS)
