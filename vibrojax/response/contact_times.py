@@ -84,6 +84,8 @@ def _turned(tables: Tables, phase, blocks, angle):
     growth = jnp.exp(phases.exponent[phase] * time)
     turn = phases.rate[phase] * time
     c, s = cosine(turn), cosine(turn - np.pi / 2)
+    if blocks.ndim == 2:  # a matrix of columns to advance
+        growth, c, s = growth[..., None], c[:, None], s[:, None]
     top, bottom = blocks[:n], blocks[n:]
     # Real pairs have rate 0: cosine 1, sine 0, each row with its own exponent.
     return jnp.concatenate([growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)])
@@ -125,6 +127,8 @@ class Course(NamedTuple):
     """Block coordinates where the segment begins."""
     start: Float[Array, " segments"]
     stop: Float[Array, " segments"]
+    jacobian: Float[Array, "states states"] | None
+    """Of the end in the state at the section, the change of the event times included."""
 
 
 def follow_events(
@@ -133,6 +137,8 @@ def follow_events(
     orbit: Orbit,
     period: int,
     count: int | Int[Array, ""] | None = None,
+    *,
+    with_jacobian: bool = False,
 ) -> Course:
     """Follow a motion from the section through its events, over `period` drive periods.
 
@@ -142,6 +148,8 @@ def follow_events(
     needs.
     """
     phases = tables.phases
+    # The Jacobian is no object of differentiation itself.
+    fixed = lax.stop_gradient(tables)
     room = orbit.times.size
     last = events.section + 2 * np.pi * period
     size = room + 1
@@ -155,10 +163,11 @@ def follow_events(
         jnp.zeros((orbit.state.size, size)),
         zero,
         zero,
+        jnp.eye(orbit.state.size) if with_jacobian else None,
     )
 
     def segment(j, carry):
-        state, phase, begun, times, phases_passed, blocks_passed, starts, ends = carry
+        state, phase, begun, times, phases_passed, blocks_passed, starts, ends, push = carry
         final = j >= room
         k = jnp.minimum(j, room - 1)
         stop = jnp.where(final, -1, events.stop[k])
@@ -179,12 +188,32 @@ def follow_events(
             blocks_passed.at[:, j].set(blocks),
             starts.at[j].set(begun),
             ends.at[j].set(angle),
+            None if push is None else _push(fixed, phase, s, used, push, angle - begun),
         )
 
     steps = size if count is None else jnp.minimum(count, room) + 1
-    end, phase, _, times, passed, blocks, starts, ends = lax.fori_loop(0, steps, segment, start)
+    end, phase, _, times, passed, blocks, starts, ends, push = lax.fori_loop(
+        0, steps, segment, start
+    )
     passed = jnp.where(jnp.arange(size) < steps, passed, phase)
-    return Course(end, times, passed, blocks, starts, ends)
+    return Course(end, times, passed, blocks, starts, ends, push)
+
+
+def _push(tables: Tables, phase, stop, used, matrix, angle):
+    """Carry the Jacobian through a phase and the change of contact at its end."""
+    phases, n = tables.phases, tables.phases.num_blocks
+    moved = _turned(tables, phase, phases.from_state[phase] @ matrix, lax.stop_gradient(angle))
+    matrix = phases.to_state[phase] @ moved
+    if not phases.num_stops:
+        return matrix
+    # Saltation: where the force jumps (by damping times rate, at zero depth) the velocities of
+    # neighbouring motions jump in proportion to their depth.
+    entering = (phase >> stop) & 1 == 0
+    releases = jnp.asarray(phases.can_pull)[stop]
+    sign = jnp.where(entering, -1.0, jnp.where(releases, 1.0, 0.0))
+    jump = jnp.where(used, sign * phases.damping[stop], 0.0)
+    depth = phases.towards_stop[stop] @ matrix[:n]
+    return matrix.at[n:].add(jump * phases.push_off[:, stop, None] * depth[None])
 
 
 class Solved(NamedTuple):
@@ -214,7 +243,7 @@ def solve_orbit(
     period: int,
     *,
     hold: bool,
-    iterations: int = 4,
+    iterations: int = 3,
 ) -> Solved:
     """Newton's method on the state at the section, the event times following.
 
@@ -226,25 +255,23 @@ def solve_orbit(
     weight = tables_at(parameter).phases.weight
     eye = jnp.eye(n + 1)
 
-    def image(x, p, times):
-        tables = tables_at(p)
-        orbit = Orbit(x * (size / tables.phases.weight), times)
-        course = follow_events(tables, events, orbit, period, count)
-        return course.end * (tables.phases.weight / size), course.times
-
     guess = weight * orbit.state
-
-    def linearised(x, p, times):
-        (end, moved), push = jax.linearize(lambda x, p: image(x, p, times), x, p)
-        columns = jax.vmap(lambda e: push(e[:-1], e[-1])[0], out_axes=1)(eye)
-        return end, moved, columns[:, :-1], columns[:, -1]
-
     energy = jnp.sqrt(jnp.sum(guess**2))
     size = lax.stop_gradient(jnp.where(energy > 0, energy, 1.0))
 
+    def image(p, x, times):
+        tables = tables_at(p)
+        orbit = Orbit(x * (size / tables.phases.weight), times)
+        course = follow_events(tables, events, orbit, period, count, with_jacobian=True)
+        unit = lax.stop_gradient(tables.phases.weight)
+        matrix = unit[:, None] * course.jacobian / unit
+        return course.end * (tables.phases.weight / size), (course.times, matrix)
+
     def newton(carry, last):
         x, p, times, normal, _ = carry
-        end, moved, matrix, slope = linearised(x, p, times)
+        end, slope, (moved, matrix) = jax.jvp(
+            lambda p: image(p, x, times), (p,), (jnp.ones_like(p),), has_aux=True
+        )
         shifted = matrix - eye[:n, :n]
         if hold:
             normal = eye[-1]

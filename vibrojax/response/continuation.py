@@ -5,20 +5,15 @@ Newton correction and the tangent, and each lane accepts its point, corrects on 
 shorter step by itself.
 """
 
-from collections.abc import Callable
+import enum
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
-from vibrojax.response.condensed import (
-    Problem,
-    balance,
-    differentiate,
-    solve_condensed,
-)
+from vibrojax.response.condensed import balance, condensed_problem, solve_condensed
+from vibrojax.response.paths import AbstractPath
 
 lax = jax.lax
 
@@ -27,19 +22,48 @@ FIRST_STEP, LONGEST_STEP, SHORTEST_STEP = 0.02, 0.08, 1e-6
 STRAIGHT = 0.85
 """Least cosine between tangents of neighbouring points."""
 MOST_CORRECTIONS = 8
-RUNNING, COMPLETED, STUCK, TURNED_BACK = 0, 1, 2, 3
+LOOP_POINTS = 12
+"""Points before a branch can close on itself."""
+
+
+class Ending(enum.Enum):
+    """What became of a lane of a continuation."""
+
+    running = 0
+    completed = 1
+    stuck = 2
+    turned_back = 3
+    closed = 4
+
+    @property
+    def sentence(self) -> str:
+        """The ending in words."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Ending.running: "The branch goes on: the points allowed did not suffice.",
+    Ending.completed: "The branch reaches the end of the range.",
+    Ending.stuck: "No next point was found however short the step.",
+    Ending.turned_back: "The branch comes back to where the range starts.",
+    Ending.closed: "The branch closes on itself.",
+}
 
 
 class Settings(NamedTuple):
     """Numbers of the continuation; arrays, so that new ones do not compile again."""
 
-    start: Float[Array, ""]
-    end: Float[Array, ""]
-    scale: Float[Array, ""]
+    start: Float[Array, " lanes"]
+    low: Float[Array, " lanes"]
+    high: Float[Array, " lanes"]
+    direction: Float[Array, " lanes"]
+    """1 to set out upwards in the parameter, -1 downwards."""
+    scale: Float[Array, " lanes"]
     """Change of the parameter that counts as much as a change of the motion by its size."""
     tolerance: Float[Array, ""]
     """Relative Newton correction at which a point counts as converged."""
     longest: Float[Array, ""]
+    """Longest step of the arclength."""
 
 
 class Trace(NamedTuple):
@@ -57,9 +81,14 @@ class Trace(NamedTuple):
     last_size: Float[Array, " lanes"]
     pinned: Bool[Array, " lanes"]
     """Whether the parameter is held: at the start, and for the last point of the range."""
+    goal: Float[Array, " lanes"]
+    """Where it is held."""
     started: Bool[Array, " lanes"]
     status: Int[Array, " lanes"]
     ticks: Int[Array, " lanes"]
+    points: Int[Array, " lanes"]
+    first_depth: Complex[Array, "lanes stops harmonics"]
+    first_parameter: Float[Array, " lanes"]
 
 
 class Point(NamedTuple):
@@ -68,38 +97,55 @@ class Point(NamedTuple):
     accepted: Bool[Array, " lanes"]
     depth: Complex[Array, "lanes stops harmonics"]
     parameter: Float[Array, " lanes"]
-    tangent_parameter: Float[Array, " lanes"]
-    step: Float[Array, " lanes"]
-
-
-Build = Callable[..., tuple[Problem, Float[Array, ""]]]
-"""From a lane and its parameter to its problem and to samples per second."""
+    direction: Float[Array, " lanes"]
+    """Change of the parameter along the branch."""
 
 
 def begin(
     depth: Complex[Array, "lanes stops harmonics"],
-    parameter: Float[Array, ""],
-    status: Int[Array, " lanes"] | None = None,
+    parameter: Float[Array, " lanes"],
+    tangent: Complex[Array, "lanes stops harmonics"] | None = None,
+    direction: Float[Array, " lanes"] | None = None,
 ) -> Trace:
-    """Start every lane from a first guess of its motion at the start of the range."""
+    """Start every lane from a first guess of its motion at the start of the range.
+
+    With a `tangent` the guess is a point of the branch already, and the first step goes along it
+    (with `direction`, the change of the parameter along it).
+    """
+    depth = jnp.asarray(depth, complex)
     lanes = depth.shape[0]
     zero, off = jnp.zeros(lanes), jnp.zeros(lanes, bool)
     count = jnp.zeros(lanes, jnp.int32)
-    at = jnp.full(lanes, parameter)
-    return Trace(
+    at = jnp.asarray(parameter, float) + zero
+    trace = Trace(
         depth=depth,
         parameter=at,
         last_depth=depth,
         last_parameter=at,
         tangent=jnp.zeros_like(depth),
         tangent_parameter=zero,
-        step=jnp.full(lanes, FIRST_STEP),
+        step=zero + FIRST_STEP,
         corrections=count,
         last_size=zero + jnp.inf,
         pinned=~off,
+        goal=at,
         started=off,
-        status=count if status is None else status,
+        status=count,
         ticks=count,
+        points=count,
+        first_depth=depth,
+        first_parameter=at,
+    )
+    if tangent is None or direction is None:
+        return trace
+    size = jnp.sqrt(dot(depth, depth) / dot(tangent, tangent))
+    unit = tangent * size[:, None, None]
+    return trace._replace(
+        tangent=unit,
+        tangent_parameter=jnp.asarray(direction, float) + zero,
+        depth=depth + FIRST_STEP * unit,
+        pinned=off,
+        started=~off,
     )
 
 
@@ -116,20 +162,30 @@ def capacities(unknowns: int) -> tuple[int, ...]:
 
 
 def follow(
-    build: Build,
-    lanes: object,
+    paths: AbstractPath,
     settings: Settings,
     trace: Trace,
     *,
     samples: int,
+    period: int,
+    harmonics: int | None,
     ticks: int,
 ) -> tuple[Trace, Point]:
     """Run some ticks of all lanes; points are stacked along a leading axis of ticks."""
     sizes = capacities(trace.depth.shape[1] * samples)
 
-    def linearise(lane, depth, parameter):
+    def linearise(path, depth, parameter):
         def residual(p):
-            problem, per_second = build(lane, p)
+            place = path.at(p)
+            problem = condensed_problem(
+                place.equations,
+                place.drive,
+                place.angular_frequency,
+                samples=samples,
+                period=period,
+                harmonics=harmonics,
+            )
+            per_second = samples / period * place.angular_frequency / (2 * jnp.pi)
             at = balance(problem, depth, per_second, samples)
             return at.residual, (at, problem)
 
@@ -139,8 +195,8 @@ def follow(
         return problem, at, -jnp.stack([value, slope])
 
     def tick(trace: Trace, _):
-        problem, at, right = jax.vmap(linearise)(lanes, trace.depth, trace.parameter)
-        running = trace.status == RUNNING
+        problem, at, right = jax.vmap(linearise)(paths, trace.depth, trace.parameter)
+        running = trace.status == Ending.running.value
         touching = (at.stiffness != 0) | (at.damping != 0)
         needed = jnp.max(jnp.where(running, jnp.sum(touching, axis=(1, 2)), 0))
         solvers = [
@@ -157,7 +213,6 @@ def follow(
 def _advance(trace: Trace, correction, direction, settings: Settings, running):
     """Take the Newton step of every lane, and accept, correct on or go back."""
     size = jnp.sqrt(dot(trace.last_depth, trace.last_depth))
-    along = (1 / size**2)[:, None, None]
     scale = settings.scale
     # Offset from the plane through the predicted point, across the tangent.
     moved = dot(trace.tangent, trace.depth - trace.last_depth) / size**2
@@ -165,8 +220,7 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
     offset = moved + moved_parameter / scale**2 - trace.step
     slope = dot(trace.tangent, direction) / size**2 + trace.tangent_parameter / scale**2
     shift = -(offset + dot(trace.tangent, correction) / size**2) / jnp.where(slope == 0, 1.0, slope)
-    target = jnp.where(trace.started, settings.end, settings.start)
-    shift = jnp.where(trace.pinned, target - trace.parameter, shift)
+    shift = jnp.where(trace.pinned, trace.goal - trace.parameter, shift)
     change = correction + direction * shift[:, None, None]
     depth, parameter = trace.depth + change, trace.parameter + shift
     newton = jnp.sqrt(dot(change, change) / size**2 + (shift / scale) ** 2)
@@ -177,8 +231,7 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
     length = jnp.sqrt(dot(direction, direction) / size**2 + 1 / scale**2)
     unit, unit_parameter = direction / length[:, None, None], 1 / length
     cosine = dot(trace.tangent, unit) / size**2 + trace.tangent_parameter * unit_parameter / scale**2
-    forward = jnp.sign(settings.end - settings.start)
-    sign = jnp.where(trace.started, jnp.where(cosine < 0, -1.0, 1.0), forward)
+    sign = jnp.where(trace.started, jnp.where(cosine < 0, -1.0, 1.0), settings.direction)
     straight = ~trace.started | (jnp.abs(cosine) > STRAIGHT)
     gone = jnp.sqrt(
         dot(depth - trace.last_depth, depth - trace.last_depth) / size**2
@@ -190,11 +243,9 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
     hopeless = (corrections >= MOST_CORRECTIONS) | (
         (newton > 2 * trace.last_size) & (corrections > 2)
     )
-    patience = jnp.where(trace.started, 1, 5)
-    failed = running & ~accepted & (
-        converged | ~good | (hopeless & (corrections >= patience * MOST_CORRECTIONS)) |
-        (hopeless & trace.started)
-    )
+    # The first point has no shorter step to go back to.
+    patient = ~trace.started & (corrections < 5 * MOST_CORRECTIONS)
+    failed = running & ~accepted & (converged | ~good | (hopeless & ~patient))
     retry = failed & trace.started
     growth = jnp.select(
         [corrections <= 2, corrections == 3, corrections <= 5], [1.5, 1.2, 1.0], 0.6
@@ -208,25 +259,36 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
     last_parameter = jnp.where(accepted, parameter, trace.last_parameter)
     tangent = jnp.where(accepted[:, None, None], sign[:, None, None] * unit, trace.tangent)
     tangent_parameter = jnp.where(accepted, sign * unit_parameter, trace.tangent_parameter)
-    status = jnp.where(accepted & trace.pinned & trace.started, COMPLETED, trace.status)
-    status = jnp.where(retry & (step < SHORTEST_STEP), STUCK, status)
-    status = jnp.where(failed & ~trace.started, STUCK, status)
+    last = jnp.where(
+        trace.goal == settings.start, Ending.turned_back.value, Ending.completed.value
+    )
+    status = jnp.where(accepted & trace.pinned & trace.started, last, trace.status)
+    status = jnp.where(retry & (step < SHORTEST_STEP), Ending.stuck.value, status)
+    status = jnp.where(failed & ~trace.started, Ending.stuck.value, status)
+    points = trace.points + accepted
+    is_first = accepted & (trace.points == 0)
+    first_depth = jnp.where(is_first[:, None, None], depth, trace.first_depth)
+    first_parameter = jnp.where(is_first, parameter, trace.first_parameter)
+    home = depth - first_depth
+    distance = jnp.sqrt(
+        dot(home, home) / size**2 + ((parameter - first_parameter) / scale) ** 2
+    )
+    closed = accepted & (points > LOOP_POINTS) & (distance < 0.75 * gone)
+    status = jnp.where(closed, Ending.closed.value, status)
     started = trace.started | accepted
     # The next try: predict along the tangent, and stop at the ends of the range.
     fresh = accepted | retry
     ahead = last_parameter + step * tangent_parameter
-    beyond = (ahead - settings.end) * forward >= 0
-    back = (ahead - settings.start) * forward < 0
-    status = jnp.where(accepted & back & (tangent_parameter * forward < 0), TURNED_BACK, status)
-    reach = (settings.end - last_parameter) / jnp.where(tangent_parameter == 0, 1.0, tangent_parameter)
+    above, below = ahead >= settings.high, ahead <= settings.low
+    beyond = above | below
+    goal = jnp.where(above, settings.high, settings.low)
+    safe = jnp.where(tangent_parameter == 0, 1.0, tangent_parameter)
+    reach = (goal - last_parameter) / safe
     stride = jnp.where(beyond, reach, step)
-    new_size = jnp.sqrt(dot(last_depth, last_depth))
-    unit_now = tangent  # of unit length in the size of the point it was made at
-    predicted = last_depth + stride[:, None, None] * unit_now
+    predicted = last_depth + stride[:, None, None] * tangent
     pinned = jnp.where(fresh, beyond, trace.pinned & ~accepted)
-    predicted_parameter = jnp.where(beyond, settings.end, ahead)
-    del new_size, along
-    trace_next = Trace(
+    predicted_parameter = jnp.where(beyond, goal, ahead)
+    return Trace(
         depth=jnp.where(
             fresh[:, None, None], predicted, jnp.where(running[:, None, None], depth, trace.depth)
         ),
@@ -239,8 +301,11 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
         corrections=jnp.where(fresh, 0, corrections),
         last_size=jnp.where(fresh, jnp.inf, newton),
         pinned=pinned,
+        goal=jnp.where(fresh, goal, trace.goal),
         started=started,
         status=status,
         ticks=trace.ticks + running,
-    )
-    return trace_next, Point(accepted, depth, parameter, sign * unit_parameter, gone)
+        points=points,
+        first_depth=first_depth,
+        first_parameter=first_parameter,
+    ), Point(accepted, depth, parameter, sign * unit_parameter)

@@ -50,7 +50,7 @@ def exact_point(
     period: int,
     *,
     hold: bool,
-    iterations: int = 4,
+    iterations: int = 3,
 ) -> tuple[ExactPoint, Guess]:
     """Turn a guess into an exact motion; also return the next guess, should it not be valid.
 

@@ -72,6 +72,8 @@ class ContactPhases(eqx.Module):
     """What is to be added to them because the position of rest changes."""
     towards_stop: Float[Array, "stops blocks *lanes"]
     """Displacement towards each stop, by coordinate q."""
+    push_off: Float[Array, "blocks stops *lanes"]
+    """Acceleration of the coordinates away from each stop, by contact force."""
     gap: Float[Array, "stops *lanes"]
     stiffness: Float[Array, "stops *lanes"]
     damping: Float[Array, "stops *lanes"]
@@ -196,6 +198,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         change=change,
         change_rest=change_rest,
         towards_stop=places,
+        push_off=equations.force_map,
         gap=gap,
         stiffness=stiffness,
         damping=damping,
