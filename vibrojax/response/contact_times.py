@@ -227,6 +227,7 @@ class Solved(NamedTuple):
     """Of the period map, in units of energy: the monodromy matrix."""
     slope: Float[Array, " states"]
     """Derivative of the period map in the parameter."""
+    course: Course
 
 
 def null_vector(matrix: Float[Array, "rows rows"], slope: Float[Array, " rows"]) -> Array:
@@ -265,13 +266,14 @@ def solve_orbit(
         course = follow_events(tables, events, orbit, period, count, with_jacobian=True)
         unit = lax.stop_gradient(tables.phases.weight)
         matrix = unit[:, None] * course.jacobian / unit
-        return course.end * (tables.phases.weight / size), (course.times, matrix)
+        return course.end * (tables.phases.weight / size), (course, matrix)
 
     def newton(carry, last):
         x, p, times, normal, _ = carry
-        end, slope, (moved, matrix) = jax.jvp(
+        end, slope, (course, matrix) = jax.jvp(
             lambda p: image(p, x, times), (p,), (jnp.ones_like(p),), has_aux=True
         )
+        moved = course.times
         shifted = matrix - eye[:n, :n]
         if hold:
             normal = eye[-1]
@@ -293,12 +295,22 @@ def solve_orbit(
             jnp.where(stay, p, p + change[-1]),
             jnp.where(stay, times, moved),
             normal,
-            (error, matrix, slope),
+            (error, matrix, slope, course._replace(jacobian=None)),
         ), None
 
-    empty = (jnp.inf, jnp.zeros((n, n)), jnp.zeros(n))
+    room = orbit.times.size + 1
+    nothing = Course(
+        end=orbit.state,
+        times=orbit.times,
+        phase=jnp.zeros(room, jnp.int32),
+        blocks=jnp.zeros((n, room)),
+        start=jnp.zeros(room),
+        stop=jnp.zeros(room),
+        jacobian=None,
+    )
+    empty = (jnp.asarray(jnp.inf), jnp.zeros((n, n)), jnp.zeros(n), nothing)
     carry = (guess / size, parameter, orbit.times, jnp.zeros(n + 1), empty)
     rounds = jnp.arange(iterations + 1) == iterations
-    (x, p, times, _, (error, matrix, slope)), _ = lax.scan(newton, carry, rounds)
+    (x, p, times, _, (error, matrix, slope, course)), _ = lax.scan(newton, carry, rounds)
     state = x * size / tables_at(p).phases.weight
-    return Solved(Orbit(state, times), p, error, matrix, slope)
+    return Solved(Orbit(state, times), p, error, matrix, slope, course)

@@ -6,13 +6,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax.response.contact_times import (
+    Course,
     Events,
     Orbit,
-    follow_events,
     null_vector,
     solve_orbit,
 )
-from vibrojax.response.orbit_reading import Reading, find_crossings, read_course, state_at
+from vibrojax.response.orbit_reading import Reading, read_course
 
 ACCURATE = 1e-9
 """Largest relative residual of an exact motion."""
@@ -51,18 +51,18 @@ def exact_point(
     *,
     hold: bool,
     iterations: int = 3,
-) -> tuple[ExactPoint, Guess]:
-    """Turn a guess into an exact motion; also return the next guess, should it not be valid.
+) -> tuple[ExactPoint, Course]:
+    """Turn a guess into an exact motion.
 
     `hold` keeps the parameter; else the motion moves across the branch, so that folds are no
-    obstacle. The next guess takes the events from the motion found.
+    obstacle.
     """
     events = guess.events
     solved = solve_orbit(
         tables_at, events, guess.orbit, parameter, period, hold=hold, iterations=iterations
     )
     tables = tables_at(solved.parameter)
-    course = follow_events(tables, events, solved.orbit, period, events.count)
+    course = solved.course
     reading = read_course(tables, events, course, period)
     n = solved.orbit.state.size
     size = jnp.maximum(
@@ -78,7 +78,7 @@ def exact_point(
         & guess.fits
     )
     matrix = jnp.where(jnp.isfinite(solved.jacobian), solved.jacobian, 0.0)
-    point = ExactPoint(
+    return ExactPoint(
         parameter=solved.parameter,
         events=events,
         orbit=solved.orbit,
@@ -87,9 +87,4 @@ def exact_point(
         multipliers=jnp.linalg.eigvals(matrix),
         reading=reading,
         valid=valid,
-    )
-    room = solved.orbit.times.size
-    found = find_crossings(reading.depth, reading.change, room, period)
-    state = state_at(tables, course, found.events.section, events.section, period)
-    following = Guess(found.events, Orbit(state, found.times), found.count <= room)
-    return point, following
+    ), course

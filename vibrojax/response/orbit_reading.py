@@ -101,8 +101,14 @@ def read_course(tables: Tables, events: Events, course: Course, period: int) -> 
     offsets = jnp.linspace(-width, width, FINE)
     near = jnp.stack(centres)[:, None] + offsets
     near = begin + jnp.mod(near - begin, whole)
-    fine_segment = _segment_of(course, near.reshape(-1))
-    fine = look(tables, course, fine_segment, near.reshape(-1))
+    # With them the moments of touch, where the force of a stop with damping is largest.
+    places = course.start.size
+    fine_segment = jnp.concatenate([_segment_of(course, near.reshape(-1)), jnp.arange(places)])
+    fine = look(
+        tables, course, fine_segment, jnp.concatenate([near.reshape(-1), course.start])
+    )
+    fine, at_start = fine[:, :-places], fine[:, -places:]
+    fine_segment = fine_segment[:-places]
     held_there = held[fine_segment].T
     fine_force = _force(tables, fine, held_there)
     step = 2 * width / (FINE - 1) / tables.angular_frequency
@@ -127,8 +133,9 @@ def read_course(tables: Tables, events: Events, course: Course, period: int) -> 
         peak = jnp.maximum(jnp.maximum(peak, jnp.max(force[s])), cell)
         breach = jnp.maximum(breach, jnp.max(_breach(tables, s, rows, held[segment].T[s])))
         breach = jnp.maximum(breach, jnp.max(_breach(tables, s, fine, held_there[s])))
-    # The largest force of a stop whose damping makes it jump is where it is touched.
-    peak = jnp.maximum(peak, _force_at_touch(tables, course, held))
+    if stops:
+        long_enough = held & (length > 0)[:, None]
+        peak = jnp.maximum(peak, jnp.max(_force(tables, at_start, long_enough.T)))
     wave = (response * jnp.sin(angle), response * jnp.cos(angle))
     entered = (events.stop >= 0) & (course.phase[1:] > course.phase[:-1])
     origin = jnp.where(begin > 0, whole, 0.0)
@@ -154,16 +161,6 @@ def _force(tables: Tables, rows, held):
     value = phases.stiffness[:, None] * rows[:stops]
     value = value + phases.damping[:, None] * rows[stops : 2 * stops]
     return jnp.where(held, value, 0.0)
-
-
-def _force_at_touch(tables, course, held):
-    stops = tables.phases.num_stops
-    if not stops:
-        return jnp.zeros(())
-    segment = jnp.arange(course.start.size)
-    rows = look(tables, course, segment, course.start)
-    long_enough = (course.stop > course.start)[:, None]
-    return jnp.max(_force(tables, rows, (held & long_enough).T))
 
 
 def state_in(tables: Tables, course: Course, segment, angle):
@@ -278,12 +275,14 @@ def _crossing(f0, g0, f1, g1, low, high):
         return f0 + u * (g0 + u * (curve + u * bend))
 
     start = value(low)
-    u = (low + high) / 2
-    for _ in range(8):
+
+    def closer(_, carry):
+        u, low, high = carry
         at = value(u)
         same = (at > 0) == (start > 0)
         low, high = jnp.where(same, u, low), jnp.where(same, high, u)
         slope = g0 + u * (2 * curve + 3 * u * bend)
         step = u - at / jnp.where(slope == 0, 1.0, slope)
-        u = jnp.where((step > low) & (step < high), step, (low + high) / 2)
-    return u
+        return jnp.where((step > low) & (step < high), step, (low + high) / 2), low, high
+
+    return lax.fori_loop(0, 8, closer, ((low + high) / 2, low, high))[0]

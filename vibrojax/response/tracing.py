@@ -10,9 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Complex, Float
 
-from vibrojax.response import continuation
 from vibrojax.response.condensed import (
     balance,
     cell_average,
@@ -21,15 +20,15 @@ from vibrojax.response.condensed import (
     state_of,
 )
 from vibrojax.response.contact_times import MOST_EVENTS, Orbit
-from vibrojax.response.continuation import Ending, Settings, Trace, begin, follow
+from vibrojax.response.continuation import Ending, Settings, Trace, follow
 from vibrojax.response.exact_point import ExactPoint, Guess, exact_point
-from vibrojax.response.orbit_reading import find_crossings
+from vibrojax.response.orbit_reading import find_crossings, state_at
 from vibrojax.response.paths import AbstractPath
 
 WIDTHS = (1, 4, 32)
 """Lanes in one loop; the number compiled is the least of these that holds them all."""
 TICKS = 64
-BATCH = 128
+BATCH = 64
 """Points made exact at a time."""
 REPAIRS = 3
 
@@ -95,20 +94,23 @@ def trace_branches(
     places: list[int | None] = [None] * width
     found: dict[int, list] = {lane: [] for lane in range(lanes)}
     done: dict[int, Traced] = {}
-    trace = jax.tree.map(lambda a: a[jnp.zeros(width, int)], start)
-    trace = trace._replace(status=jnp.full(width, Ending.completed.value, jnp.int32))
-    lane_of = np.zeros(width, int)
+    # Lanes are put in and taken out on the host: single operations on a device cost more.
+    paths, settings, start = jax.device_get((paths, settings, start))
+    trace = take(start, np.zeros(width, int))
+    trace = trace._replace(status=np.full(width, Ending.completed.value, np.int32))
+    index = np.zeros(width, int)
+    here = None
     while len(done) < lanes:
         for place in range(width):
             if places[place] is None and waiting:
                 lane = waiting.pop(0)
-                places[place], lane_of[place] = lane, lane
-                trace = jax.tree.map(
-                    lambda a, b, lane=lane, place=place: a.at[place].set(b[lane]), trace, start
-                )
-        index = jnp.asarray(lane_of)
-        here = Settings(*(s if s.ndim == 0 else s[index] for s in settings))
-        trace, points = _follow(take(paths, index), here, trace, samples, period, harmonics)
+                places[place], index[place] = lane, lane
+                trace, here = jax.device_get(trace), None
+                trace = _put(trace, take(start, np.array([lane])), np.array([place]))
+        if here is None:
+            chosen = Settings(*(s if s.ndim == 0 else s[index] for s in settings))
+            here = jax.device_put((take(paths, index), chosen))
+        trace, points = _follow(*here, trace, samples, period, harmonics)
         accepted = np.asarray(points.accepted)
         columns = [np.asarray(a) for a in (points.parameter, points.depth, points.direction)]
         status, ticks = np.asarray(trace.status), np.asarray(trace.ticks)
@@ -119,49 +121,62 @@ def trace_branches(
             found[lane].append([c[kept, place] for c in columns])
             count = sum(len(part[0]) for part in found[lane])
             ending = Ending(int(status[place]))
-            if ending is not Ending.running or count > max_points or ticks[place] > 8 * max_points:
+            over = count > max_points or ticks[place] > 8 * max_points
+            if ending is not Ending.running or over:
                 joined = [np.concatenate(part) for part in zip(*found[lane], strict=True)]
                 done[lane] = Traced(*joined, ending, int(ticks[place]))
                 places[place] = None
-                trace = trace._replace(
-                    status=trace.status.at[place].set(Ending.completed.value)
-                )
+                if over:
+                    stopped = np.array(trace.status)
+                    stopped[place] = Ending.stuck.value
+                    trace = trace._replace(status=stopped)
                 if progress is not None:
                     progress()
     return [done[lane] for lane in range(lanes)]
 
 
-def _first_guess(path, depth, parameter, samples, period):
-    """Contact times and state of a sampled motion."""
-    place = path.at(parameter)
-    motion = depth / cell_average(samples, depth.shape[-1])
-    value, change = jnp.fft.irfft(jnp.stack([motion, differentiate(motion, samples)]), samples)
-    found = find_crossings(value, change, MOST_EVENTS, period)
-    problem = condensed_problem(
-        place.equations, place.drive, place.angular_frequency, samples=samples, period=period
-    )
-    per_second = samples / period * place.angular_frequency / (2 * jnp.pi)
-    force = balance(problem, depth, per_second, samples).force
-    state = state_of(
-        place.equations,
-        place.drive,
-        place.angular_frequency,
-        force,
-        found.events.section,
-        samples=samples,
-        period=period,
-    )
-    return Guess(found.events, Orbit(state, found.times), found.count <= MOST_EVENTS)
+@eqx.filter_jit
+def _crossings(depth, change, period):
+    return jax.vmap(lambda d, c: find_crossings(d, c, MOST_EVENTS, period))(depth, change)
 
 
 @eqx.filter_jit
-def _guesses(paths, lane, depth, parameter, period):
+def _balanced(paths, lane, depth, parameter, period, harmonics):
+    """Samples of depth and its change, and the spectrum of the force, of balanced motions."""
     samples = 2 * (depth.shape[-1] - 1)
 
     def one(lane, depth, parameter):
-        return _first_guess(take(paths, lane), depth, parameter, samples, period)
+        place = take(paths, lane).at(parameter)
+        motion = depth / cell_average(samples, depth.shape[-1])
+        both = jnp.stack([motion, differentiate(motion, samples)])
+        value, change = jnp.fft.irfft(both, samples)
+        problem = condensed_problem(
+            place.equations,
+            place.drive,
+            place.angular_frequency,
+            samples=samples,
+            period=period,
+            harmonics=harmonics,
+        )
+        per_second = samples / period * place.angular_frequency / (2 * jnp.pi)
+        at = balance(problem, depth, per_second, samples)
+        return value, change, at.force
 
     return jax.vmap(one)(lane, depth, parameter)
+
+
+@eqx.filter_jit
+def _states(paths, lane, force, parameter, angle, period):
+    samples = 2 * (force.shape[-1] - 1)
+
+    def one(lane, force, parameter, angle):
+        place = take(paths, lane).at(parameter)
+        drive, frequency = place.drive, place.angular_frequency
+        return state_of(
+            place.equations, drive, frequency, force, angle, samples=samples, period=period
+        )
+
+    return jax.vmap(one)(lane, force, parameter, angle)
 
 
 @eqx.filter_jit
@@ -171,6 +186,15 @@ def _exact(paths, lane, guess, parameter, period, hold):
         return exact_point(path.tables, guess, parameter, period, hold=hold)
 
     return jax.vmap(one)(lane, guess, parameter)
+
+
+@eqx.filter_jit
+def _states_at(paths, lane, parameter, course, section, begin, period):
+    def one(lane, parameter, course, section, begin):
+        tables = take(paths, lane).tables(parameter)
+        return state_at(tables, course, section, begin, period)
+
+    return jax.vmap(one)(lane, parameter, course, section, begin)
 
 
 def make_exact(
@@ -187,52 +211,72 @@ def make_exact(
     Where a motion breaks its sequence of contacts, the sequence is taken from the motion found and
     the search repeated.
     """
-    lane = np.asarray(lane)
-    parameter = np.asarray(parameter)
-    guesses = _in_batches(
-        lambda i: _guesses(paths, lane[i], depth[i], parameter[i], period), len(lane)
-    )
+
+    def guess(i):
+        value, change, force = _balanced(paths, lane[i], depth[i], parameter[i], period, None)
+        found = _crossings(value, change, period)
+        section = found.events.section
+        state = _states(paths, lane[i], force, parameter[i], section, period)
+        return _guess(found, state)
+
+    guesses = in_batches(guess, len(lane))
     return exact_from(paths, lane, guesses, parameter, period=period, hold=hold)
 
 
-def exact_from(paths, lane, guesses, parameter, *, period=1, hold=False) -> ExactPoint:
+def _guess(found, state) -> Guess:
+    return Guess(found.events, Orbit(state, found.times), found.count <= MOST_EVENTS)
+
+
+def exact_from(
+    paths: AbstractPath,
+    lane: np.ndarray,
+    guesses: Guess,
+    parameter: Float[np.ndarray, " points"],
+    *,
+    period: int = 1,
+    hold: bool = False,
+) -> ExactPoint:
     """Turn guesses of contact times into exact motions, in batches."""
-    best = None
-    left = np.arange(len(lane))
-    for _ in range(1 + REPAIRS):
 
-        def solve(i, left=left):
-            at = left[i]
-            return _exact(paths, lane[at], take(guesses, at), parameter[at], period, hold)
+    def solve(i, points=None, courses=None):
+        guess = take(guesses, i)
+        if points is not None:
+            reading, section = points.reading, points.events.section
+            found = _crossings(reading.depth, reading.change, period)
+            there = found.events.section
+            guess = _guess(
+                found,
+                _states_at(paths, lane[i], points.parameter, courses, there, section, period),
+            )
+        return _exact(paths, lane[i], guess, parameter[i], period, hold)
 
-        points, following = _in_batches(solve, len(left))
-        if best is None:
-            best, guesses = points, following
-        else:
-            better = points.valid
-            best = _put(best, points, left, better | ~best.valid[left])
-            guesses = _put(guesses, following, left, np.ones(len(left), bool))
+    best, courses = in_batches(solve, len(lane))
+    for _ in range(REPAIRS):
         left = np.flatnonzero(~best.valid)
         if not len(left):
             break
+        again = in_batches(
+            lambda i, left=left: solve(left[i], take(best, left[i]), take(courses, left[i])),
+            len(left),
+        )
+        best, courses = _put((best, courses), again, left)
     return best
 
 
-def _put(whole, part, at, where):
+def _put(whole, part, at):
     def put(a, b):
         a = np.array(a)
-        a[at[where]] = b[where]
+        a[at] = b
         return a
 
     return jax.tree.map(put, whole, part)
 
 
-def _in_batches(function, count: int):
+def in_batches(function, count: int):
     """Run a function of an index over batches of one size, the last one filled up by repeats."""
-    size = BATCH if count > BATCH // 8 else BATCH // 8
     parts = []
-    for first in range(0, count, size):
-        index = np.minimum(np.arange(first, first + size), count - 1)
+    for first in range(0, count, BATCH):
+        index = np.minimum(np.arange(first, first + BATCH), count - 1)
         parts.append(function(index))
     parts = jax.device_get(parts)
     return jax.tree.map(lambda *a: np.concatenate(a)[:count], *parts)
