@@ -11,8 +11,7 @@ time the response has a fold. Solving for state, drive and gap together stays we
 there, unlike solving for the state at a given drive, whose matrix I - P is singular at a fold.
 
 Stability is that of the period map with its saltation (the jump of the damping force at touch and
-departure). Source: design.md section 5; the solution of piecewise linear oscillators between contact
-times goes back to Shaw and Holmes 1983.
+departure). The closed form between contact times goes back to Shaw and Holmes 1983, for one mass.
 """
 
 from typing import NamedTuple
@@ -24,16 +23,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax.drive import AbstractDrive
-from vibrojax.response.contact_times import Course, Events, Tables, tables_of
-from vibrojax.response.exact_point import BREACH
-from vibrojax.response.orbit_reading import Reading, read_course
+from vibrojax.response.contact_times import Tables, tables_of
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 from vibrojax.stepping.elementary import cosine
 from vibrojax.systems.base import AbstractEquations, LinearEquations
 
 lax = jax.lax
 FLIGHT, CONTACT = 0, 1
-DEPTH, RATE, ACCELERATION = 0, 1, 2
+DEPTH, RATE = 0, 1
 """Rows of `ContactPhases.readout` with one stop."""
 
 
@@ -129,7 +126,7 @@ def contact_free_amplitude(tables: Tables) -> Float[Array, ""]:
     return jnp.abs(tables.rows[FLIGHT, 3 * tables.phases.num_stops])
 
 
-def _blocks(phases: ContactPhases, phase: int, time: Float[Array, ""]):
+def growth(phases: ContactPhases, phase: int, time: Float[Array, ""]):
     """Real and imaginary parts of exp(exponent time) - 1, by row of the blocks: (2, blocks) each.
 
     Without cancellation for short times. Real pairs have rate 0, each row its own exponent.
@@ -141,15 +138,13 @@ def _blocks(phases: ContactPhases, phase: int, time: Float[Array, ""]):
     return real, growth * cosine(turn - np.pi / 2)
 
 
-def _left(parts, matrix):
+def apply_blocks(parts, matrix):
     """Block matrix times a vector or matrix of block coordinates."""
     real, imag = parts
     if matrix.ndim == 2:
         real, imag = real[..., None], imag[..., None]
     top, bottom = jnp.split(matrix, 2)
-    return jnp.concatenate(
-        [real[0] * top - imag[0] * bottom, imag[1] * top + real[1] * bottom]
-    )
+    return jnp.concatenate([real[0] * top - imag[0] * bottom, imag[1] * top + real[1] * bottom])
 
 
 def _right(matrix, parts):
@@ -161,7 +156,7 @@ def _right(matrix, parts):
     )
 
 
-def _times(tables: Tables, contact_fraction):
+def durations(tables: Tables, contact_fraction):
     """Drive angle of the contact, time in contact, and time in flight."""
     angle = 2 * np.pi * contact_fraction
     w = tables.angular_frequency
@@ -177,9 +172,9 @@ def single_contact(tables: Tables, contact_fraction: Float[Array, ""]) -> Single
     `tables` as of `unit_tables`; `contact_fraction` in (0, 1).
     """
     phases = tables.phases
-    angle, time, flight = _times(tables, contact_fraction)
-    contact = _blocks(phases, CONTACT, time)
-    free = _blocks(phases, FLIGHT, flight)
+    angle, time, flight = durations(tables, contact_fraction)
+    contact = growth(phases, CONTACT, time)
+    free = growth(phases, FLIGHT, flight)
     grown = (contact[0] + 1, contact[1])
     kept = (free[0] + 1, free[1])
     mean = (contact[0] / angle, contact[1] / angle)
@@ -192,26 +187,27 @@ def single_contact(tables: Tables, contact_fraction: Float[Array, ""]) -> Single
     exchange = phases.change[CONTACT, 0]
     steady = exchange @ tables.steady[CONTACT] - tables.steady[FLIGHT]
     pressed = exchange @ phases.rest[CONTACT]
-    by_state = exchange - _left(kept, _right(exchange, grown))
+    by_state = exchange - apply_blocks(kept, _right(exchange, grown))
     later = steady * turned
-    by_phasor = steady - lax.complex(_left(kept, later.real), _left(kept, later.imag))
-    by_gap = pressed - _left(kept, pressed)
-
-    rows, steady_rows = phases.readout[CONTACT], tables.rows[CONTACT]
-
-    def border(row, of_phasor, of_gap):
-        return row, of_phasor, of_gap
+    by_phasor = steady - lax.complex(apply_blocks(kept, later.real), apply_blocks(kept, later.imag))
+    by_gap = pressed - apply_blocks(kept, pressed)
 
     # Depth zero at touch; its mean rate in contact zero; the mean deceleration one.
-    depth = border(rows[DEPTH], steady_rows[DEPTH], phases.readout_rest[CONTACT, DEPTH])
-    rate = border(_right(rows[DEPTH], mean), steady_rows[DEPTH] * mean_turn, 0.0)
-    slowing = border(-_right(rows[RATE], mean), -steady_rows[RATE] * mean_turn, 0.0)
-    borders = [depth, rate, slowing]
-    matrix = jnp.concatenate([by_state, jnp.stack([row for row, _, _ in borders])])
-    phasor = jnp.concatenate([by_phasor, jnp.stack([p for _, p, _ in borders])])
-    gap = jnp.concatenate([by_gap, jnp.stack([jnp.asarray(g) for *_, g in borders])])
+    rows, steady_rows = phases.readout[CONTACT], tables.rows[CONTACT]
+    last_rows = [rows[DEPTH], _right(rows[DEPTH], mean), -_right(rows[RATE], mean)]
+    last_phasors = [
+        steady_rows[DEPTH],
+        steady_rows[DEPTH] * mean_turn,
+        -steady_rows[RATE] * mean_turn,
+    ]
+    last_gaps = phases.readout_rest[CONTACT, DEPTH] * jnp.array([1.0, 0.0, 0.0])
+    phasor = jnp.concatenate([by_phasor, jnp.stack(last_phasors)])
     whole = jnp.concatenate(
-        [matrix, phasor.imag[:, None], phasor.real[:, None], gap[:, None]], axis=1
+        [
+            jnp.concatenate([by_state, jnp.stack(last_rows)]),
+            jnp.stack([phasor.imag, phasor.real, jnp.append(by_gap, last_gaps)], axis=1),
+        ],
+        axis=1,
     )
 
     row_unit, column_unit = _units(tables, whole)
@@ -227,7 +223,7 @@ def single_contact(tables: Tables, contact_fraction: Float[Array, ""]) -> Single
 
     end_c, end_s = c * cos - s * sin, s * cos + c * sin
     blocks = z + forced(tables.steady[CONTACT], c, s) + phases.rest[CONTACT] * gap
-    end = _left(grown, z)
+    end = apply_blocks(grown, z)
     departed = exchange @ (end + forced(tables.steady[CONTACT], end_c, end_s)) + pressed * gap
     return SingleContact(
         contact_fraction=contact_fraction,
@@ -274,134 +270,27 @@ def gap_ratio_and_slope(
     return gap, slope, found
 
 
-def monodromy(
-    tables: Tables, contact_fraction: Float[Array, ""]
-) -> Float[Array, "states states"]:
+def monodromy(tables: Tables, contact_fraction: Float[Array, ""]) -> Float[Array, "states states"]:
     """Return the Jacobian of the period map just before touch, in units of energy.
 
     It depends on the times of contact and flight only, not on the motion.
     """
     phases, n = tables.phases, tables.phases.num_blocks
-    _, time, flight = _times(tables, contact_fraction)
+    _, time, flight = durations(tables, contact_fraction)
     weight = phases.weight
     push = phases.damping[0] * jnp.outer(phases.push_off[:, 0], phases.towards_stop[0])
     matrix = jnp.eye(2 * n)
     for phase, duration, sign in ((CONTACT, time, -1.0), (FLIGHT, flight, 1.0)):
         # Saltation: the damping force jumps where the stop is touched and left.
         matrix = matrix.at[n:].add(sign * push @ matrix[:n])
-        real, imag = _blocks(phases, phase, duration)
-        matrix = phases.to_state[phase] @ _left((real + 1, imag), phases.from_state[phase] @ matrix)
+        real, imag = growth(phases, phase, duration)
+        matrix = phases.to_state[phase] @ apply_blocks(
+            (real + 1, imag), phases.from_state[phase] @ matrix
+        )
     return weight[:, None] * matrix / weight
 
 
-def multipliers(
-    tables: Tables, contact_fraction: Float[Array, ""]
-) -> Complex[Array, " states"]:
+def multipliers(tables: Tables, contact_fraction: Float[Array, ""]) -> Complex[Array, " states"]:
     """Return the Floquet multipliers of the motion."""
     matrix = monodromy(tables, contact_fraction)
     return jnp.linalg.eigvals(jnp.where(jnp.isfinite(matrix), matrix, 0.0))
-
-
-def with_gap(tables: Tables, gap: Float[Array, ""]) -> Tables:
-    """Give tables of unit gap another gap, m (or m per unit of drive)."""
-    p = tables.phases
-    scaled = eqx.tree_at(
-        lambda p: (p.rest, p.readout_rest, p.change_rest, p.gap),
-        p,
-        (p.rest * gap, p.readout_rest * gap, p.change_rest * gap, p.gap * gap),
-    )
-    return tables._replace(phases=scaled)
-
-
-def course_of(tables: Tables, found: SingleContact) -> tuple[Tables, Events, Course]:
-    """Lay the motion out from the middle of its flight, with the tables at its own gap."""
-    phases = tables.phases
-    angle, _, flight = _times(tables, found.contact_fraction)
-    half = np.pi - angle / 2
-    section = jnp.mod(found.touch - half, 2 * np.pi)
-    touch, last = section + half, section + 2 * np.pi
-    departure = touch + angle
-    real, imag = _blocks(phases, FLIGHT, flight / 2)
-    middle = _left((real + 1, imag), found.in_flight)
-    none = jnp.zeros((), jnp.int32)
-    events = Events(jnp.zeros(2, jnp.int32), none, section)
-    course = Course(
-        end=phases.to_state[FLIGHT] @ middle,
-        times=jnp.stack([touch, departure]),
-        phase=jnp.array([FLIGHT, CONTACT, FLIGHT], jnp.int32),
-        blocks=jnp.stack([middle, found.in_contact, found.in_flight], axis=1),
-        start=jnp.stack([section, touch, departure]),
-        stop=jnp.stack([touch, departure, last]),
-        jacobian=None,
-    )
-    steady = tables.steady[FLIGHT]
-    forced = jnp.sin(section) * steady.real + jnp.cos(section) * steady.imag
-    course = course._replace(end=phases.to_state[FLIGHT] @ (middle + forced))
-    return with_gap(tables, found.gap_ratio), events, course
-
-
-def read_single_contact(
-    tables: Tables, found: SingleContact
-) -> tuple[Reading, Bool[Array, ""]]:
-    """Read the motion off, per unit of drive amplitude, and say whether it is a real one.
-
-    A virtual motion enters the stop again in its flight, or leaves it during its contact.
-    """
-    own, events, course = course_of(tables, found)
-    reading = read_course(own, events, course, 1)
-    size = jnp.maximum(jnp.abs(found.gap_ratio), jnp.maximum(reading.highest, -reading.lowest))
-    return reading, found.possible & (reading.breach <= BREACH * size)
-
-
-class Fold(NamedTuple):
-    """A fold of the response."""
-
-    contact_fraction: Float[Array, ""]
-    angular_frequency: Float[Array, ""]
-    """rad/s."""
-    residual: Float[Array, ""]
-    """Of the gap ratio, relative, or the last step, the larger."""
-
-
-def fold_of_single_contact(
-    equations: LinearEquations,
-    drive: AbstractDrive,
-    guess: tuple[Float[Array, ""], Float[Array, ""]],
-    gap_ratio: Float[Array, ""] | None = None,
-    iterations: int = 10,
-) -> Fold:
-    """Newton's method on gap ratio and slope in contact fraction and frequency; differentiable.
-
-    Parameters:
-        equations: of one lane, with one linear stop.
-        drive: of an amplitude above 0.
-        guess: contact fraction and angular frequency (rad/s).
-        gap_ratio: gap over drive amplitude; by default that of the system.
-        iterations: steps of the method, of which the last carries the derivatives (first order).
-    """
-    equations = check_single_stop(equations)
-    if gap_ratio is None:
-        gap_ratio = equations.stops[0].gap / jnp.asarray(drive.reference[0])
-    place = jnp.stack([jnp.asarray(g, float) for g in guess])
-
-    def conditions(phases, drive, gap, place):
-        tables = unit_tables(phases, drive, place[1])
-        value, slope, _ = gap_ratio_and_slope(tables, place[0])
-        return jnp.stack([value - gap, slope])
-
-    lanes = (unit_phases(equations), drive, gap_ratio)
-    fixed = lax.stop_gradient(lanes)
-    place = lax.stop_gradient(place)
-
-    def newton(place, _):
-        residual = conditions(*fixed, place)
-        matrix = jax.jacfwd(lambda p: conditions(*fixed, p))(place)
-        step = jnp.linalg.solve(matrix, -residual)
-        most = jnp.array([0.3, 0.03]) * place
-        step = step * jnp.minimum(1.0, jnp.min(most / jnp.abs(step)))
-        return place + step, (matrix, jnp.max(jnp.abs(step / place)), residual[0])
-
-    place, (matrices, steps, misses) = lax.scan(newton, place, length=iterations - 1)
-    place = place - jnp.linalg.solve(matrices[-1], conditions(*lanes, place))
-    size = jnp.maximum(jnp.abs(fixed[2]), jnp.finfo(place.dtype).tiny)
-    return Fold(place[0], place[1], jnp.maximum(steps[-1], jnp.abs(misses[-1]) / size))

@@ -25,7 +25,7 @@ from vibrojax.response.exact_point import ExactPoint, Guess, exact_point
 from vibrojax.response.orbit_reading import find_crossings, state_at
 from vibrojax.response.paths import AbstractPath
 
-WIDTHS = (1, 4, 32)
+WIDTHS = (1, 32)
 """Lanes in one loop; the number compiled is the least of these that holds them all."""
 TICKS = 64
 BATCH = 64
@@ -141,12 +141,12 @@ def _crossings(depth, change, period):
 
 
 @eqx.filter_jit
-def _balanced(paths, lane, depth, parameter, period, harmonics):
+def _balanced(paths, depth, parameter, period, harmonics):
     """Samples of depth and its change, and the spectrum of the force, of balanced motions."""
     samples = 2 * (depth.shape[-1] - 1)
 
-    def one(lane, depth, parameter):
-        place = take(paths, lane).at(parameter)
+    def one(path, depth, parameter):
+        place = path.at(parameter)
         motion = depth / cell_average(samples, depth.shape[-1])
         both = jnp.stack([motion, differentiate(motion, samples)])
         value, change = jnp.fft.irfft(both, samples)
@@ -162,39 +162,38 @@ def _balanced(paths, lane, depth, parameter, period, harmonics):
         at = balance(problem, depth, per_second, samples)
         return value, change, at.force
 
-    return jax.vmap(one)(lane, depth, parameter)
+    return jax.vmap(one)(paths, depth, parameter)
 
 
 @eqx.filter_jit
-def _states(paths, lane, force, parameter, angle, period):
+def _states(paths, force, parameter, angle, period):
     samples = 2 * (force.shape[-1] - 1)
 
-    def one(lane, force, parameter, angle):
-        place = take(paths, lane).at(parameter)
+    def one(path, force, parameter, angle):
+        place = path.at(parameter)
         drive, frequency = place.drive, place.angular_frequency
         return state_of(
             place.equations, drive, frequency, force, angle, samples=samples, period=period
         )
 
-    return jax.vmap(one)(lane, force, parameter, angle)
+    return jax.vmap(one)(paths, force, parameter, angle)
 
 
 @eqx.filter_jit
-def _exact(paths, lane, guess, parameter, period, hold):
-    def one(lane, guess, parameter):
-        path = take(paths, lane)
+def _exact(paths, guess, parameter, period, hold):
+    def one(path, guess, parameter):
         return exact_point(path.tables, guess, parameter, period, hold=hold)
 
-    return jax.vmap(one)(lane, guess, parameter)
+    return jax.vmap(one)(paths, guess, parameter)
 
 
 @eqx.filter_jit
-def _states_at(paths, lane, parameter, course, section, begin, period):
-    def one(lane, parameter, course, section, begin):
-        tables = take(paths, lane).tables(parameter)
+def _states_at(paths, parameter, course, section, begin, period):
+    def one(path, parameter, course, section, begin):
+        tables = path.tables(parameter)
         return state_at(tables, course, section, begin, period)
 
-    return jax.vmap(one)(lane, parameter, course, section, begin)
+    return jax.vmap(one)(paths, parameter, course, section, begin)
 
 
 def make_exact(
@@ -212,11 +211,13 @@ def make_exact(
     the search repeated.
     """
 
+    paths = jax.device_get(paths)
+
     def guess(i):
-        value, change, force = _balanced(paths, lane[i], depth[i], parameter[i], period, None)
+        here = take(paths, lane[i])
+        value, change, force = _balanced(here, depth[i], parameter[i], period, None)
         found = _crossings(value, change, period)
-        section = found.events.section
-        state = _states(paths, lane[i], force, parameter[i], section, period)
+        state = _states(here, force, parameter[i], found.events.section, period)
         return _guess(found, state)
 
     guesses = in_batches(guess, len(lane))
@@ -238,17 +239,20 @@ def exact_from(
 ) -> ExactPoint:
     """Turn guesses of contact times into exact motions, in batches."""
 
+    # Every batch has its own stack of paths, so that the number of lanes compiles nothing anew.
+    paths = jax.device_get(paths)
+
     def solve(i, points=None, courses=None):
-        guess = take(guesses, i)
+        guess, here = take(guesses, i), take(paths, lane[i])
         if points is not None:
             reading, section = points.reading, points.events.section
             found = _crossings(reading.depth, reading.change, period)
             there = found.events.section
             guess = _guess(
                 found,
-                _states_at(paths, lane[i], points.parameter, courses, there, section, period),
+                _states_at(here, points.parameter, courses, there, section, period),
             )
-        return _exact(paths, lane[i], guess, parameter[i], period, hold)
+        return _exact(here, guess, parameter[i], period, hold)
 
     best, courses = in_batches(solve, len(lane))
     for _ in range(REPAIRS):

@@ -45,7 +45,8 @@ class Picture(Figure):
         return stream.getvalue(), {"width": int(self.get_figwidth() * DPI / 2)}
 
 
-def _picture() -> tuple[Picture, Axes]:
+def new_picture() -> tuple[Picture, Axes]:
+    """Make an empty picture in the style of all of them."""
     margins = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)
     figure = Picture(figsize=SIZE, dpi=DPI, layout=margins)
     axes = figure.add_subplot()
@@ -57,7 +58,8 @@ def _picture() -> tuple[Picture, Axes]:
     return figure, axes
 
 
-def _label(name: str, ratio_units: str = "1") -> str:
+def label_of(name: str, ratio_units: str = "1") -> str:
+    """Return the long name of a variable with its unit."""
     units, long_name = VARIABLES[name]
     units = ratio_units if units == "ratio" else units
     return long_name if units == "1" else f"{long_name} ({units})"
@@ -83,13 +85,13 @@ def plot_frequency_response(
             f"{len(left)} axes are left, {' and '.join(left)}: give a value of all but one, such "
             f"as plot({left[0]}={float(response.axes[left[0]][0]):g})."
         )
-    figure, axes = _picture()
+    figure, axes = new_picture()
     if left:
         _family(figure, axes, response, variable, directions, index, left[0])
     else:
         _single(axes, response, variable, directions, index)
-    axes.set_xlabel(_label(response.axis), fontsize=LABEL)
-    axes.set_ylabel(_label(variable, response.ratio_units), fontsize=LABEL)
+    axes.set_xlabel(label_of(response.axis), fontsize=LABEL)
+    axes.set_ylabel(label_of(variable, response.ratio_units), fontsize=LABEL)
     if chosen:
         title = ", ".join(f"{name} = {value:g}" for name, value in chosen.items())
         axes.set_title(title, fontsize=LABEL, loc="left")
@@ -263,7 +265,7 @@ def _single(
         natural = lane.natural_frequency
         scales = (lambda r: np.asarray(r) * natural, lambda f: np.asarray(f) / natural)
         hertz = axes.secondary_xaxis("top", functions=scales)
-        hertz.set_xlabel(_label("frequency"), fontsize=SMALL, color=GREY)
+        hertz.set_xlabel(label_of("frequency"), fontsize=SMALL, color=GREY)
         hertz.tick_params(labelsize=SMALL, colors=GREY)
         hertz.spines["top"].set_color(GREY)
 
@@ -351,10 +353,10 @@ def _legend(
         add(f"no period found ({counted(Status.aperiodic)})", marker=">", **hollow, **marks)
     if count(Status.diverged):
         add(f"diverged ({counted(Status.diverged)})", marker="x", **marks)
-    _outside_legend(axes, lines, labels)
+    outside_legend(axes, lines, labels)
 
 
-def _outside_legend(axes: Axes, lines: Sequence[Artist], labels: list[str]) -> None:
+def outside_legend(axes: Axes, lines: Sequence[Artist], labels: list[str]) -> None:
     """Put the legend below the axes, where it covers nothing."""
     columns = next(n for n in range(len(labels), 0, -1) if n == 1 or _width(labels, n) < 0.95)
     axes.figure.legend(
@@ -384,7 +386,7 @@ def plot_modes(modes: Modes) -> Figure:
             f"Modes of a batch of beams, {modes.beta.shape[:-1]}, cannot be drawn: pick one, such "
             "as jax.tree.map(lambda a: a[0], modes)."
         )
-    figure, axes = _picture()
+    figure, axes = new_picture()
     places = np.linspace(0.0, 1.0, 401)
     shapes = np.asarray(modes.shape(places))
     colors = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.85, modes.num_modes))
@@ -404,5 +406,5 @@ def plot_modes(modes: Modes) -> Figure:
     axes.set_xlabel("Place along the beam x/length (0 root, 1 tip)", fontsize=LABEL)
     axes.set_ylabel("Mode shape, largest displacement 1", fontsize=LABEL)
     lines, labels = axes.get_legend_handles_labels()
-    _outside_legend(axes, lines, labels)
+    outside_legend(axes, lines, labels)
     return figure

@@ -14,7 +14,8 @@ def _stops(system: AbstractSystem) -> tuple[Stop, ...]:
     return own if own is not None else eqx.filter_eval_shape(system.equations).stops
 
 
-def _is_exact(system: AbstractSystem) -> bool:
+def is_exact(system: AbstractSystem) -> bool:
+    """Return whether flight and contact of the system can be propagated exactly."""
     stops = _stops(system)
     return all(stop.is_linear for stop in stops) and len(stops) <= MAX_STOPS
 
@@ -29,7 +30,7 @@ def choose_method(
 
     Raises `ValueError` when the method asked for cannot do the stops.
     """
-    exact = _is_exact(system)
+    exact = is_exact(system)
     if isinstance(method, ExactContact) and not exact:
         raise ValueError(
             f"ExactContact needs at most {MAX_STOPS} stops that are linear in contact, with no "
@@ -46,6 +47,6 @@ _contact_phases = eqx.filter_jit(contact_phases)
 
 def prepare_motion(system: AbstractSystem, equations: AbstractEquations) -> ContactPhases | None:
     """Compute the phases of `ExactContact` where that method suits the system."""
-    if isinstance(equations, LinearEquations) and _is_exact(system):
+    if isinstance(equations, LinearEquations) and is_exact(system):
         return _contact_phases(equations)
     return None

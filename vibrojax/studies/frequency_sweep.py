@@ -145,7 +145,7 @@ def frequency_sweep(
         check_range("refine_jumps", refine_jumps, 1e-9, 1.0, allowed="from 1e-9 to 1, or None")
     axis, grid = _frequency_axis(frequency_ratio, frequency)
     lanes = lanes_of(system, axes)
-    _check_drive(lanes.sample)
+    check_drive(lanes.sample)
     method = choose_method(lanes.sample, method, tolerance, steps_per_period)
     directions = DIRECTIONS[direction]
     # Its numbers as arrays: a new tolerance does not compile again.
@@ -171,7 +171,8 @@ def _frequency_axis(
     return "frequency", check_frequencies("frequency", frequency, "Hz")
 
 
-def _check_drive(system: AbstractSystem) -> None:
+def check_drive(system: AbstractSystem) -> None:
+    """Refuse, with a `ValueError`, a system that nothing drives."""
     reference, unit = system.drive.reference
     size = concrete(reference)
     if unit == "m" or (size is not None and not (size > 0).all()):

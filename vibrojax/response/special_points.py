@@ -1,0 +1,242 @@
+"""Folds, period doublings, Neimark-Sacker points and first touches of a traced branch.
+
+They are found between points of the branch and refined on exact motions: a handful of motions
+between the neighbours are solved at once, the place is narrowed to between two of them, and the
+same again.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vibrojax.response.condensed import receptance
+from vibrojax.response.exact_point import ExactPoint
+from vibrojax.response.paths import AbstractPath
+from vibrojax.response.tracing import in_batches, make_exact, take
+
+SAMPLES = 16
+"""Motions looked at in each round of refinement."""
+ROUNDS = 2
+KINDS = ("fold", "period_doubling", "neimark_sacker", "grazing")
+
+
+class Found(NamedTuple):
+    """Special points of all lanes, refined."""
+
+    kind: list[str]
+    lane: np.ndarray
+    after: np.ndarray
+    """Index of the branch point before which it lies."""
+    parameter: np.ndarray
+    point: ExactPoint | None
+    """The motions themselves."""
+
+
+def doubling_test(multipliers: np.ndarray) -> np.ndarray:
+    """Zero where a multiplier is -1."""
+    return np.prod(1 + multipliers, axis=-1).real
+
+
+def torus_test(multipliers: np.ndarray) -> np.ndarray:
+    """Zero where two multipliers have the product 1, as a pair on the unit circle has."""
+    i, j = np.triu_indices(multipliers.shape[-1], 1)
+    return np.prod(1 - multipliers[..., i] * multipliers[..., j], axis=-1).real
+
+
+def on_circle(multipliers: np.ndarray) -> np.ndarray:
+    """Whether a complex pair is on the unit circle, near enough to be told from a real pair."""
+    near = np.abs(np.abs(multipliers) - 1) < 1e-3
+    turned = np.abs(multipliers.imag) > 1e-4
+    return np.any(near & turned, axis=-1)
+
+
+class _Bracket(NamedTuple):
+    kind: str
+    lane: int
+    at: int
+    """Index of the middle point (fold) or of the first of the two."""
+
+
+def brackets_of(lane: int, parameter: np.ndarray, multipliers: np.ndarray | None) -> list[_Bracket]:
+    """Find between which points of a branch special ones lie."""
+    found = []
+    step = np.diff(parameter)
+    # A fold turns the parameter round; steps of round-off turn nothing.
+    size = 1e-11 * np.max(np.abs(parameter), initial=0.0)
+    moving = np.flatnonzero(np.abs(step) > size)
+    for before, after in zip(moving[:-1], moving[1:], strict=True):
+        if step[before] * step[after] < 0:
+            found.append(_Bracket("fold", lane, int(after)))
+    if multipliers is not None:
+        for kind, test in (("period_doubling", doubling_test), ("neimark_sacker", torus_test)):
+            value = test(multipliers)
+            for i in np.flatnonzero(value[:-1] * value[1:] < 0):
+                found.append(_Bracket(kind, lane, int(i)))
+    return found
+
+
+def _between(depth, parameter, s):
+    """Quadratic through three neighbours at -1, 0 and 1."""
+    weight = np.array([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2])
+    return np.einsum("k...,k->...", depth, weight), parameter @ weight
+
+
+def refine(
+    paths: AbstractPath,
+    branches: list[tuple[np.ndarray, np.ndarray]],
+    brackets: list[_Bracket],
+    period: int,
+) -> Found | None:
+    """Refine special points of branches given as (parameter, depth) of each lane."""
+    usable = []
+    for b in brackets:
+        parameter, depth = branches[b.lane]
+        middle = min(max(b.at, 1), len(parameter) - 2)
+        if middle < 1:
+            continue
+        near = slice(middle - 1, middle + 2)
+        low = -1.0 if b.kind == "fold" else float(b.at - middle)
+        high = 1.0 if b.kind == "fold" else low + 1.0
+        usable.append((b, parameter[near], depth[near], low, high))
+    if not usable:
+        return None
+    lanes = np.array([u[0].lane for u in usable])
+    low, high = np.array([u[3] for u in usable]), np.array([u[4] for u in usable])
+    keep = np.ones(len(usable), bool)
+
+    def solve(places):  # (special points, places)
+        count = places.shape[1]
+        made = [_between(u[2], u[1], s) for u, row in zip(usable, places, strict=True) for s in row]
+        depth, parameter = np.stack([m[0] for m in made]), np.array([m[1] for m in made])
+        return make_exact(paths, np.repeat(lanes, count), depth, parameter, period=period), count
+
+    share = np.linspace(0.0, 1.0, SAMPLES)
+    for _ in range(ROUNDS):
+        places = low[:, None] + (high - low)[:, None] * share
+        points, count = solve(places)
+        p = np.where(points.valid, points.parameter, np.nan).reshape(-1, count)
+        m = points.multipliers.reshape(len(usable), count, -1)
+        for k, (b, *_rest) in enumerate(usable):
+            low[k], high[k], ok = _narrow(b.kind, places[k], p[k], m[k])
+            keep[k] &= ok
+    best = (low + high) / 2
+    for k, (b, *_rest) in enumerate(usable):
+        if b.kind == "fold":
+            best[k] = _vertex(places[k], p[k], best[k])
+    points, _ = solve(best[:, None])
+    keep &= points.valid
+    torus = np.array([u[0].kind == "neimark_sacker" for u in usable])
+    keep &= ~torus | on_circle(points.multipliers)
+    chosen = np.flatnonzero(keep)
+    # Twins: one fold seen from two brackets.
+    order = sorted(chosen, key=lambda k: (lanes[k], usable[k][0].at, points.parameter[k]))
+    final, seen = [], set()
+    for k in order:
+        key = (usable[k][0].kind, int(lanes[k]), round(float(points.parameter[k]), 9))
+        if key not in seen:
+            seen.add(key)
+            final.append(k)
+    if not final:
+        return None
+    index = np.array(final)
+    return Found(
+        kind=[usable[k][0].kind for k in final],
+        lane=lanes[index],
+        after=np.array([usable[k][0].at for k in final]),
+        parameter=points.parameter[index],
+        point=take(points, index),
+    )
+
+
+def _narrow(kind, place, parameter, multipliers):
+    """Narrow a bracket to around the place where the parameter turns or the test changes sign."""
+    good = np.isfinite(parameter)
+    if good.sum() < 3:
+        return place[0], place[-1], False
+    if kind == "fold":
+        ends = parameter[good][0], parameter[good][-1]
+        up = np.nanmax(parameter) - max(ends)
+        down = min(ends) - np.nanmin(parameter)
+        if max(up, down) <= 0:
+            return place[0], place[-1], False
+        at = int(np.nanargmax(parameter) if up >= down else np.nanargmin(parameter))
+        return place[max(at - 1, 0)], place[min(at + 1, len(place) - 1)], True
+    test = doubling_test if kind == "period_doubling" else torus_test
+    value = np.where(good, test(multipliers), np.nan)
+    at = np.flatnonzero(good)
+    for a, b in zip(at[:-1], at[1:], strict=True):
+        if value[a] * value[b] <= 0:
+            return place[a], place[b], True
+    return place[0], place[-1], False
+
+
+def _vertex(place, parameter, fallback):
+    """Place of the extreme of a parabola through the best sample and its neighbours."""
+    good = np.isfinite(parameter)
+    if not good.all():
+        return fallback
+    turned = parameter if np.argmax(parameter) not in (0, len(place) - 1) else -parameter
+    at = int(np.argmax(turned))
+    if at in (0, len(place) - 1):
+        return place[at]
+    y, h = turned[at - 1 : at + 2], place[at + 1] - place[at]
+    bend = y[0] - 2 * y[1] + y[2]
+    return place[at] if bend == 0 else place[at] + h * (y[0] - y[2]) / (2 * bend)
+
+
+@eqx.filter_jit
+def _touch(paths, parameter):
+    """Newton's method on the parameter at which the contact-free motion just reaches a stop."""
+
+    def one(path, parameter):
+        def clearance(p):
+            place = path.at(p)
+            zero = jnp.zeros_like(place.angular_frequency)
+            amplitude = place.drive.complex_amplitude(place.angular_frequency, zero)
+            table = receptance(place.equations, place.angular_frequency[None])
+            reach = jnp.abs(amplitude * table.stop_from_input[:, 0])
+            gaps = jnp.stack([jnp.asarray(s.gap, float) for s in place.equations.stops])
+            return jnp.min((gaps - reach) / gaps)
+
+        def newton(_, p):
+            value, slope = jax.jvp(clearance, (p,), (jnp.ones_like(p),))
+            return p - jnp.clip(value / jnp.where(slope == 0, 1.0, slope), -0.02, 0.02)
+
+        p = jax.lax.fori_loop(0, 12, newton, parameter)
+        return p, jnp.abs(clearance(p)) < 1e-9
+
+    return jax.vmap(one)(paths, parameter)
+
+
+def first_touches(
+    paths: AbstractPath, lane: int, parameter: np.ndarray, touching: np.ndarray
+) -> list[tuple[int, float]]:
+    """Parameters at which the branch goes between flight and contact, with the point before."""
+    change = np.flatnonzero(touching[:-1] != touching[1:])
+    if not len(change):
+        return []
+    free = np.where(touching[change], change + 1, change)
+    paths = jax.device_get(paths)
+    found, good = in_batches(
+        lambda i: _touch(take(paths, np.full(len(i), lane)), parameter[free][i]), len(change)
+    )
+    return [(int(i), float(p)) for i, p, ok in zip(change, found, good, strict=True) if ok]
+
+
+def special(found: Found | None) -> Callable[[str, int], list[Any]]:
+    """Return a look-up of (index, parameter, motion) by kind and lane."""
+
+    def of(kind: str, lane: int) -> list[Any]:
+        if found is None:
+            return []
+        return [
+            (int(found.after[k]), float(found.parameter[k]), take(found.point, k))
+            for k in range(len(found.kind))
+            if found.kind[k] == kind and found.lane[k] == lane
+        ]
+
+    return of
