@@ -6,20 +6,24 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax.response.condensed import (
     balance,
     cell_average,
     condensed_problem,
     differentiate,
+    solve_condensed,
     state_of,
 )
-from vibrojax.response.paths import AbstractPath, Place
-from vibrojax.response.tracing import in_batches, take
+from vibrojax.response.paths import AbstractPath, Place, localise
+from vibrojax.response.tracing import in_batches
 
 FINER = 4
 """How many times finer a motion is looked at than it was solved."""
+CONVERGED = 1e-10
+"""Relative Newton step at which a balance is solved."""
+MOST_STEPS = 40
 
 
 class BalancedMotion(NamedTuple):
@@ -85,7 +89,9 @@ def read_balanced(
         initial_state=state_of(
             equations, drive, w, at.force, zero, samples=samples, period=period
         ),
-        multipliers=jnp.linalg.eigvals(_monodromy(place, at, 1 / per_second)),
+        multipliers=jnp.linalg.eigvals(
+            jax.lax.stop_gradient(_monodromy(place, at, 1 / per_second))
+        ),
         residual=jnp.sqrt(jnp.sum(jnp.abs(at.residual) ** 2)) / size,
     )
 
@@ -136,5 +142,63 @@ def read_all(
     """Read many motions, in batches."""
     paths = jax.device_get(paths)
     return in_batches(
-        lambda i: _read(take(paths, lane[i]), depth[i], parameter[i], period), len(lane)
+        lambda i: _read(localise(paths, lane[i], parameter[i], False), depth[i], parameter[i], period),
+        len(lane),
     )
+
+
+def solve_balance(
+    place: Place,
+    still: Place,
+    depth: Float[Array, "stops fine_samples"],
+    samples: int,
+    period: int,
+    harmonics: int | None,
+) -> tuple[Complex[Array, "stops harmonics"], Bool[Array, ""]]:
+    """Newton's method on the balance from sampled depths; whether it converged.
+
+    `still` is the place as a constant, in which the search runs; derivatives are implicit, in
+    `place`.
+    """
+    total = samples * period
+    count = total // 2 + 1
+    start = jnp.fft.rfft(depth)[:, :count] * (total / depth.shape[1])
+    start = start * cell_average(total, count)
+    kept = None if harmonics is None else harmonics * period
+    unknowns = len(place.equations.stops) * total
+
+    def at(place, spectrum):
+        problem = condensed_problem(
+            place.equations,
+            place.drive,
+            place.angular_frequency,
+            samples=total,
+            period=period,
+            harmonics=kept,
+        )
+        per_second = samples * place.angular_frequency / (2 * jnp.pi)
+        return problem, balance(problem, spectrum, per_second, total)
+
+    def size(spectrum):
+        return jnp.sqrt(jnp.sum(jnp.abs(spectrum) ** 2))
+
+    def newton(carry):
+        spectrum, _, tries = carry
+        problem, here = at(still, spectrum)
+        change = solve_condensed(problem, here, -here.residual[None], total, unknowns)[0]
+        relative = size(change) / size(spectrum)
+        # A long step is shortened, so that contacts are not gained and lost by the dozen.
+        return spectrum + change * jnp.minimum(1.0, 0.3 / relative), relative, tries + 1
+
+    def on(carry):
+        _, relative, tries = carry
+        return (relative > CONVERGED) & (tries < MOST_STEPS)
+
+    found, relative, _ = jax.lax.while_loop(on, newton, (start, jnp.asarray(jnp.inf), 0))
+    found = jax.lax.stop_gradient(found)
+    problem, factor = at(still, found)
+    _, now = at(place, found)
+    converged = jnp.isfinite(relative) & (relative <= CONVERGED)
+    right = -jnp.where(converged, now.residual, 0.0)[None]
+    change = solve_condensed(problem, factor, right, total, unknowns)[0]
+    return found + change, converged

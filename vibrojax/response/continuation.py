@@ -238,14 +238,18 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
         + ((parameter - trace.last_parameter) / scale) ** 2
     )
     near = ~trace.started | (gone < 2.5 * trace.step + 1e-9)
-    accepted = running & converged & straight & near
+    inside = (parameter <= settings.high) & (parameter >= settings.low)
+    found = running & converged & straight & near
+    accepted = found & (inside | trace.pinned)
+    # A point beyond the range shows where between the last one and itself the range ends.
+    overshot = found & ~accepted
     # A correction that grows, or too many of them: go back and take a shorter step.
     hopeless = (corrections >= MOST_CORRECTIONS) | (
         (newton > 2 * trace.last_size) & (corrections > 2)
     )
     # The first point has no shorter step to go back to.
     patient = ~trace.started & (corrections < 5 * MOST_CORRECTIONS)
-    failed = running & ~accepted & (converged | ~good | (hopeless & ~patient))
+    failed = running & ~found & (converged | ~good | (hopeless & ~patient))
     retry = failed & trace.started
     growth = jnp.select(
         [corrections <= 2, corrections == 3, corrections <= 5], [1.5, 1.2, 1.0], 0.6
@@ -286,8 +290,15 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
     reach = (goal - last_parameter) / safe
     stride = jnp.where(beyond, reach, step)
     predicted = last_depth + stride[:, None, None] * tangent
-    pinned = jnp.where(fresh, beyond, trace.pinned & ~accepted)
+    pinned = jnp.where(fresh, beyond, trace.pinned & ~accepted) | overshot
     predicted_parameter = jnp.where(beyond, goal, ahead)
+    goal = jnp.where(overshot, jnp.where(parameter > settings.high, settings.high, settings.low), goal)
+    passed = parameter - trace.last_parameter
+    share = (goal - trace.last_parameter) / jnp.where(overshot, passed, 1.0)
+    inner = trace.last_depth + share[:, None, None] * (depth - trace.last_depth)
+    predicted = jnp.where(overshot[:, None, None], inner, predicted)
+    predicted_parameter = jnp.where(overshot, goal, predicted_parameter)
+    fresh = fresh | overshot
     return Trace(
         depth=jnp.where(
             fresh[:, None, None], predicted, jnp.where(running[:, None, None], depth, trace.depth)

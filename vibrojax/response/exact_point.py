@@ -29,6 +29,8 @@ class ExactPoint(NamedTuple):
     residual: Float[Array, ""]
     tangent: Float[Array, " states_and_parameter"]
     """Direction of the branch in the state at the section and the parameter; its sign is free."""
+    monodromy: Float[Array, "states states"]
+    """Jacobian of the period map at the section, in units of energy."""
     multipliers: Complex[Array, " states"]
     reading: Reading
     valid: Bool[Array, ""]
@@ -84,6 +86,7 @@ def exact_point(
         orbit=solved.orbit,
         residual=solved.residual,
         tangent=null_vector(matrix - jnp.eye(n), solved.slope),
+        monodromy=matrix,
         multipliers=jnp.linalg.eigvals(matrix),
         reading=reading,
         valid=valid,

@@ -5,7 +5,9 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from vibrojax.drive import AbstractDrive
@@ -29,9 +31,37 @@ class AbstractPath(eqx.Module):
     def at(self, parameter: Float[Array, ""]) -> Place:
         """Return equations, drive and drive frequency."""
 
-    @abstractmethod
+
+class LocalPath(eqx.Module):
+    """A path near one value of its parameter, to first order: cheap to compile and to evaluate.
+
+    Along a frequency that is the path itself.
+    """
+
+    parameter: Float[Array, "..."]
+    place: Place
+    slope: Place
+    """Derivative of the place; for what does not change, zero."""
+    phases: ContactPhases | None
+    phases_slope: ContactPhases | None
+    """Derivative of the phases; None where they do not change."""
+
+    def at(self, parameter: Float[Array, ""]) -> Place:
+        """Return equations, drive and drive frequency."""
+        return _moved(self.place, self.slope, parameter - self.parameter)
+
     def tables(self, parameter: Float[Array, ""]) -> Tables:
-        """Return the exact propagators there (linear stops only)."""
+        """Return the exact propagators (linear stops only)."""
+        assert self.phases is not None
+        phases = self.phases
+        if self.phases_slope is not None:
+            phases = _moved(phases, self.phases_slope, parameter - self.parameter)
+        place = self.at(parameter)
+        return tables_of(phases, place.drive, place.angular_frequency)
+
+
+def _moved(tree: Any, slope: Any, way: Array) -> Any:
+    return jax.tree.map(lambda a, b: a + way * b if eqx.is_inexact_array(a) else a, tree, slope)
 
 
 class FrequencyPath(AbstractPath):
@@ -48,7 +78,7 @@ class FrequencyPath(AbstractPath):
         return Place(self.equations, self.drive, parameter * self.unit)
 
     def tables(self, parameter: Float[Array, ""]) -> Tables:
-        """Return the propagators at another frequency."""
+        """Return the exact propagators at another frequency (linear stops only)."""
         assert self.phases is not None
         return tables_of(self.phases, self.drive, parameter * self.unit)
 
@@ -72,10 +102,38 @@ class ParameterPath(AbstractPath):
         unit = equations.angular_frequency[0] if self.is_ratio else 2 * jnp.pi
         return Place(equations, system.drive, self.frequency * unit)
 
-    def tables(self, parameter: Float[Array, ""]) -> Tables:
-        """Return the propagators of the new system."""
-        place = self.at(parameter)
-        return tables_of(contact_phases(place.equations), place.drive, place.angular_frequency)
+
+def localise(
+    paths: AbstractPath, lane: np.ndarray, parameter: Float[np.ndarray, " points"], exact: bool
+) -> LocalPath:
+    """Return the paths of some lanes near some values, stacked along the points."""
+    if isinstance(paths, FrequencyPath):
+        equations, drive, unit, phases = (
+            jax.tree.map(lambda a: np.asarray(a)[lane] if eqx.is_array(a) else a, part)
+            for part in (paths.equations, paths.drive, paths.unit, paths.phases)
+        )
+        place = Place(equations, drive, parameter * unit)
+        still = jax.tree.map(np.zeros_like, place)
+        slope = eqx.tree_at(lambda p: p.angular_frequency, still, np.asarray(unit))
+        return LocalPath(np.asarray(parameter), place, slope, phases, None)
+    here = jax.tree.map(lambda a: np.asarray(a)[lane] if eqx.is_array(a) else a, paths)
+    return _localise(here, parameter, exact)
+
+
+@eqx.filter_jit
+def _localise(paths: AbstractPath, parameter: Float[Array, " points"], exact: bool) -> LocalPath:
+    def one(path, p):
+        def value(p):
+            place = path.at(p)
+            return place, contact_phases(place.equations) if exact else None
+
+        (place, phases), (slope, phases_slope) = eqx.filter_jvp(value, (p,), (jnp.ones_like(p),))
+        fill = lambda a, b: jnp.zeros_like(a) if b is None else b  # noqa: E731
+        slope = jax.tree.map(fill, place, slope)
+        phases_slope = jax.tree.map(fill, phases, phases_slope) if exact else None
+        return LocalPath(p, place, slope, phases, phases_slope)
+
+    return jax.vmap(one)(paths, parameter)
 
 
 def frequency_path(system: AbstractSystem, is_ratio: bool, exact: bool) -> FrequencyPath:

@@ -15,7 +15,7 @@ import numpy as np
 
 from vibrojax.response.condensed import receptance
 from vibrojax.response.exact_point import ExactPoint
-from vibrojax.response.paths import AbstractPath
+from vibrojax.response.paths import AbstractPath, FrequencyPath, localise
 from vibrojax.response.tracing import in_batches, make_exact, take
 
 SAMPLES = 16
@@ -220,10 +220,15 @@ def first_touches(
     if not len(change):
         return []
     free = np.where(touching[change], change + 1, change)
-    paths = jax.device_get(paths)
-    found, good = in_batches(
-        lambda i: _touch(take(paths, np.full(len(i), lane)), parameter[free][i]), len(change)
-    )
+    paths, found, good = jax.device_get(paths), parameter[free], None
+    # A path other than that of the frequency is only known to first order near a value.
+    for _ in range(1 if isinstance(paths, FrequencyPath) else 4):
+        now = found
+
+        def touch(i, now=now):
+            return _touch(localise(paths, np.full(len(i), lane), now[i], False), now[i])
+
+        found, good = in_batches(touch, len(change))
     return [(int(i), float(p)) for i, p, ok in zip(change, found, good, strict=True) if ok]
 
 

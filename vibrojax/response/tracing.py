@@ -23,7 +23,7 @@ from vibrojax.response.contact_times import MOST_EVENTS, Orbit
 from vibrojax.response.continuation import Ending, Settings, Trace, follow
 from vibrojax.response.exact_point import ExactPoint, Guess, exact_point
 from vibrojax.response.orbit_reading import find_crossings, state_at
-from vibrojax.response.paths import AbstractPath
+from vibrojax.response.paths import AbstractPath, FrequencyPath, localise
 
 WIDTHS = (1, 32)
 """Lanes in one loop; the number compiled is the least of these that holds them all."""
@@ -214,7 +214,7 @@ def make_exact(
     paths = jax.device_get(paths)
 
     def guess(i):
-        here = take(paths, lane[i])
+        here = localise(paths, lane[i], parameter[i], exact=True)
         value, change, force = _balanced(here, depth[i], parameter[i], period, None)
         found = _crossings(value, change, period)
         state = _states(here, force, parameter[i], found.events.section, period)
@@ -238,12 +238,14 @@ def exact_from(
     hold: bool = False,
 ) -> ExactPoint:
     """Turn guesses of contact times into exact motions, in batches."""
+    parameter = np.asarray(parameter)
 
     # Every batch has its own stack of paths, so that the number of lanes compiles nothing anew.
     paths = jax.device_get(paths)
 
     def solve(i, points=None, courses=None):
-        guess, here = take(guesses, i), take(paths, lane[i])
+        guess, at = take(guesses, i), parameter[i]
+        here = localise(paths, lane[i], at, exact=True)
         if points is not None:
             reading, section = points.reading, points.events.section
             found = _crossings(reading.depth, reading.change, period)
@@ -252,7 +254,7 @@ def exact_from(
                 found,
                 _states_at(here, points.parameter, courses, there, section, period),
             )
-        return _exact(here, guess, parameter[i], period, hold)
+        return _exact(here, guess, at, period, hold)
 
     best, courses = in_batches(solve, len(lane))
     for _ in range(REPAIRS):
@@ -264,6 +266,11 @@ def exact_from(
             len(left),
         )
         best, courses = _put((best, courses), again, left)
+    if not isinstance(paths, FrequencyPath) and not hold:
+        # Near its value the path was taken to first order: once more from where the points are.
+        guesses = Guess(best.events, best.orbit, np.ones(len(lane), bool))
+        parameter = np.where(best.valid, best.parameter, parameter)
+        best, courses = in_batches(solve, len(lane))
     return best
 
 

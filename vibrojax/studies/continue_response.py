@@ -14,9 +14,10 @@ from vibrojax._checks import check_count, check_range
 from vibrojax.response.balanced_motion import read_all
 from vibrojax.response.continuation import LONGEST_STEP, Ending, Settings, begin
 from vibrojax.response.methods import HarmonicBalance
-from vibrojax.response.paths import AbstractPath, ParameterPath, frequency_path
+from vibrojax.response.paths import AbstractPath, ParameterPath, frequency_path, localise
 from vibrojax.response.special_points import brackets_of, first_touches, refine, special
 from vibrojax.response.tracing import (
+    BATCH,
     Traced,
     free_motion,
     in_batches,
@@ -262,7 +263,7 @@ class _Work:
         values = pieces["parameter"]
         paths = jax.device_get(paths)
         reference, natural = in_batches(
-            lambda i: _references(take(paths, lane[i]), values[i]), len(lane)
+            lambda i: _references(localise(paths, lane[i], values[i], False), values[i]), len(lane)
         )
         pieces |= {
             "amplitude_ratio": (pieces["highest"] - pieces["lowest"]) / 2 / reference,
@@ -366,7 +367,9 @@ class _Work:
 
     def _described(self, paths, lane, kind, after, parameter, motion) -> SpecialPoint:
         reading = motion.reading
-        (reference,), _ = _references(take(paths, np.array([lane])), np.array([parameter]))
+        at = np.full(BATCH, parameter)
+        here = localise(paths, np.full(BATCH, lane), at, False)
+        reference = _references(here, at)[0][0]
         amplitude = float((reading.highest - reading.lowest) / 2 / reference)
         force = float(reading.contact_force)
         return SpecialPoint(kind, parameter, amplitude, force, reading.initial_state, after)

@@ -1,4 +1,4 @@
-"""Motions to start from: settled by marching, sampled over their period."""
+"""Motions that continuations start from: settled by marching, many lanes at once."""
 
 import equinox as eqx
 import jax
@@ -6,15 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from vibrojax.drive import Harmonic
 from vibrojax.response.condensed import cell_average
 from vibrojax.response.paths import AbstractPath
 from vibrojax.response.settling import Settled, settle
-from vibrojax.stepping.method import AbstractMethod, ExactContact, ExponentialSplitting
-from vibrojax.systems.base import Motion
-
-FINER = 4
-"""Samples of the march for every sample of the balance."""
+from vibrojax.response.starting import sampled_motion, stepper
 
 
 @eqx.filter_jit
@@ -27,12 +22,10 @@ def settled(
     max_periods: int = 600,
 ) -> Settled:
     """March every lane at its value of the parameter from its state until it settles."""
-    method: AbstractMethod = ExactContact(1e-6) if exact else ExponentialSplitting(1e-4)
 
     def prepare(path, value):
         place = path.at(value)
-        march = method.prepare(place.equations, place.drive)
-        return march, place.angular_frequency
+        return stepper(exact).prepare(place.equations, place.drive), place.angular_frequency
 
     march, frequency = eqx.filter_vmap(prepare, out_axes=-1)(paths, values)
     return settle(
@@ -55,23 +48,13 @@ def sampled_depth(
     exact: bool,
 ) -> Complex[Array, "lanes stops harmonics"]:
     """Spectra of the averaged depths of the motions that start from these states at phase 0."""
-    method: AbstractMethod = ExactContact(1e-6) if exact else ExponentialSplitting(1e-4)
 
     def one(path, value, state):
-        place = path.at(value)
-        motion = Motion(
-            place.equations, place.drive, Harmonic(place.angular_frequency / (2 * jnp.pi))
-        )
-        interval = period * 2 * jnp.pi / place.angular_frequency / (samples * FINER)
-        kept = method.init(None, 0.0, interval, state, motion)
-
-        def step(state, k):
-            after = method.advance(motion, k * interval, interval, state, kept)
-            return after, place.equations.penetration(state[: place.equations.size])
-
-        _, depth = jax.lax.scan(step, state, jnp.arange(samples * FINER, dtype=float))
-        fine = jnp.fft.rfft(depth.T)[:, : samples // 2 + 1] / FINER
-        return fine * cell_average(samples, samples // 2 + 1)
+        depth, _, _ = sampled_motion(path, value, state, period, exact)
+        count = samples // 2 + 1
+        # The march is sampled more finely, so nothing folds back into the harmonics kept.
+        spectrum = jnp.fft.rfft(depth)[:, :count] * (samples / depth.shape[1])
+        return spectrum * cell_average(samples, count)
 
     return jax.vmap(one)(paths, values, state)
 
@@ -88,21 +71,22 @@ def settled_guess(
 
     Without a `state` (2 coordinates) the motions are marched from rest until they settle.
     """
+    values = jnp.asarray(values)
     if state is None:
-        size = jax.eval_shape(lambda p: p.at(jnp.zeros(())), _first(paths)).equations.size
+        size = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take_first(paths)).equations.size
         rest = jnp.zeros((2 * size, len(values)))
-        came = settled(paths, jnp.asarray(values), rest, exact, max(period, 4))
+        came = settled(paths, values, rest, exact, max(period, 4))
         found = (np.asarray(came.period) > 0) & (period % np.maximum(came.period, 1) == 0)
         states = np.asarray(came.state).T
     else:
         states = np.broadcast_to(state, (len(values), state.size))
         found = np.ones(len(values), bool)
-    depth = sampled_depth(
-        paths, jnp.asarray(values), jnp.asarray(states), samples, period, exact
+    depth = np.asarray(
+        sampled_depth(paths, values, jnp.asarray(states), samples, period, exact)
     )
-    depth = np.asarray(depth)
     return depth, found & np.isfinite(depth).all(axis=(1, 2))
 
 
-def _first(paths):
+def take_first(paths: AbstractPath) -> AbstractPath:
+    """Return the first lane of a stack of paths."""
     return jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, paths)

@@ -1,0 +1,152 @@
+"""Shooting: Newton's method on the period map of any system under any solver."""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix
+from jaxtyping import Array, Float
+
+from vibrojax.drive import Harmonic
+from vibrojax.response.implicit import frozen, with_columns
+from vibrojax.response.methods import Shooting
+from vibrojax.response.paths import Place
+from vibrojax.results.periodic_response import PeriodicResponse, Sampled, reading_of
+from vibrojax.stepping.elementary import cubic_maximum
+from vibrojax.stepping.method import ExactContact, ExponentialSplitting
+from vibrojax.systems.base import AbstractSystem, LinearEquations, Motion
+
+SETTLING = 200
+"""Drive periods marched from rest for a first guess."""
+
+
+def shoot(
+    system: AbstractSystem,
+    value: Float[Array, ""],
+    is_ratio: bool,
+    period: int,
+    state: Float[Array, " states"] | None,
+    method: Shooting,
+    exact: bool,
+) -> PeriodicResponse:
+    """Solve for the motion that returns after `period` drive periods; see `periodic_response`."""
+    solver = method.solver
+    if solver is None:
+        equations = eqx.filter_eval_shape(system.equations)
+        if isinstance(equations, LinearEquations):
+            solver = ExactContact(1e-6) if exact else ExponentialSplitting(1e-4)
+        else:
+            solver = diffrax.Tsit5()
+    return _shoot(system, value, is_ratio, period, state, method, solver)
+
+
+@eqx.filter_jit
+def _shoot(system, value, is_ratio, period, state, method, solver):
+    def place_of(system, value) -> Place:
+        equations = system.equations()
+        unit = equations.angular_frequency[0] if is_ratio else 2 * jnp.pi
+        return Place(equations, system.drive, value * unit)
+
+    n = eqx.filter_eval_shape(system.equations).size
+    # States are in units of the first one's size, q' over the drive frequency: comparable.
+    def passed(numbers, x, periods, keep):
+        place = place_of(*numbers)
+        frequency = place.angular_frequency
+        motion = Motion(place.equations, place.drive, Harmonic(frequency / (2 * jnp.pi)))
+        steps = method.steps_per_period * periods
+        step = 2 * jnp.pi / frequency / method.steps_per_period
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(motion.vector_field),
+            solver,
+            t0=0.0,
+            t1=steps * step,
+            dt0=step,
+            y0=x,
+            args=motion,
+            saveat=diffrax.SaveAt(steps=True, t0=True) if keep else diffrax.SaveAt(t1=True),
+            stepsize_controller=diffrax.ConstantStepSize(),
+            adjoint=diffrax.ForwardMode(),
+            max_steps=steps + 2,
+            throw=False,
+        )
+        states = jnp.asarray(solution.ys)
+        return states[: steps + 1] if keep else states[0]
+
+    still = frozen((system, value))
+    if state is None:
+        start = jax.lax.fori_loop(
+            0, SETTLING // period, lambda _, x: passed(still, x, period, False), jnp.zeros(2 * n)
+        )
+    else:
+        start = frozen(state)
+    rate = still[1] * (2 * jnp.pi if not is_ratio else place_of(*still).equations.angular_frequency[0])
+    size = jnp.max(jnp.abs(start[:n]) + jnp.abs(start[n:]) / rate)
+    size = jnp.where(size > 0, size, 1.0)
+    unit = size * jnp.concatenate([jnp.ones(n), jnp.full(n, rate)])
+
+    def returned(x, numbers):
+        return passed(numbers, x * unit, period, False) / unit - x
+
+    def solved(numbers):
+        found = optimistix.root_find(
+            returned,
+            optimistix.Newton(rtol=1e-9, atol=1e-9),
+            start / unit,
+            numbers,
+            max_steps=method.max_steps,
+            throw=False,
+        )
+        x = found.value
+        # Under differentiation only the solution matters, not the map's own Jacobian.
+        matrix = jax.jacfwd(lambda x: returned(x, frozen(numbers)))(jax.lax.stop_gradient(x))
+        states = passed(numbers, x * unit, period, True)
+        place = place_of(*numbers)
+        residual = jnp.max(jnp.abs(returned(jax.lax.stop_gradient(x), frozen(numbers))))
+        reading = _read(place, states, method.steps_per_period, period)
+        multipliers = jnp.linalg.eigvals(jax.lax.stop_gradient(matrix) + jnp.eye(2 * n))
+        return reading, multipliers.real, multipliers.imag, jax.lax.stop_gradient(residual)
+
+    numbers = system, value
+    reading, real, imaginary, residual = with_columns(solved, numbers)
+    place = place_of(*numbers)
+    return reading_of(
+        system,
+        place,
+        reading,
+        period=period,
+        multipliers=jax.lax.stop_gradient(real + 1j * imaginary),
+        residual=jax.lax.stop_gradient(residual),
+        converged=residual < 1e-6,
+        exact=False,
+    )
+
+
+def _read(place: Place, states: Any, steps_per_period: int, period: int) -> Sampled:
+    """Read amplitudes and forces off the states at the ends of all steps."""
+    equations = place.equations
+    step = 2 * jnp.pi / place.angular_frequency / steps_per_period
+
+    def at(state):
+        q, v = jnp.split(state, 2)
+        response, rate = jax.jvp(equations.response, (q,), (v,))
+        return response, rate, equations.contact_forces(q, v), equations.penetration(q) > 0
+
+    response, rate, forces, touching = jax.vmap(at)(states)
+    top = cubic_maximum(response[:-1], rate[:-1] * step, response[1:], rate[1:] * step)
+    low = -cubic_maximum(-response[:-1], -rate[:-1] * step, -response[1:], -rate[1:] * step)
+    y = response[:-1]
+    angle = 2 * jnp.pi * jnp.arange(y.size) / steps_per_period
+    touching = touching[:-1]
+    entered = touching & ~jnp.roll(touching, 1, axis=0)
+    return Sampled(
+        highest=jnp.max(top),
+        lowest=jnp.min(low),
+        mean_square=jnp.mean(y**2),
+        first_harmonic=2 * jnp.hypot(jnp.mean(y * jnp.sin(angle)), jnp.mean(y * jnp.cos(angle))),
+        contact_force=jnp.max(forces, initial=0.0),
+        contact_fraction=jnp.mean(jnp.any(touching, axis=1).astype(float)),
+        contacts=jnp.sum(entered).astype(float),
+        initial_state=states[0],
+    )

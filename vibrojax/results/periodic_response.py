@@ -1,0 +1,214 @@
+"""A periodic response: the result at one point."""
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float, Int
+
+from vibrojax.results.variables import VARIABLES
+from vibrojax.systems.base import AbstractSystem
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+    from vibrojax.results.history import History
+
+NUMBERS = (
+    "amplitude_ratio",
+    "peak_ratio",
+    "rms_ratio",
+    "first_harmonic_ratio",
+    "contact_force",
+    "contact_fraction",
+    "contacts_per_period",
+    "leading_multiplier",
+    "residual",
+    "frequency",
+)
+
+
+class Sampled(NamedTuple):
+    """What is read off a motion, m and N."""
+
+    highest: Float[Array, ""]
+    lowest: Float[Array, ""]
+    mean_square: Float[Array, ""]
+    first_harmonic: Float[Array, ""]
+    contact_force: Float[Array, ""]
+    contact_fraction: Float[Array, ""]
+    contacts: Float[Array, ""]
+    initial_state: Float[Array, " states"]
+
+
+class PeriodicResponse(eqx.Module):
+    """A steady state and its stability. Numbers are arrays without axes (or those of a `vmap`)."""
+
+    amplitude_ratio: Float[Array, "*lanes"]
+    """Half peak-to-peak displacement over drive amplitude."""
+    peak_ratio: Float[Array, "*lanes"]
+    """Largest displacement, either side, over drive amplitude."""
+    rms_ratio: Float[Array, "*lanes"]
+    first_harmonic_ratio: Float[Array, "*lanes"]
+    contact_force: Float[Array, "*lanes"]
+    """Largest contact force, N."""
+    contact_fraction: Float[Array, "*lanes"]
+    contacts_per_period: Float[Array, "*lanes"]
+    initial_state: Float[Array, "*lanes states"]
+    """(q, q') at drive phase 0, m and m/s."""
+    floquet_multipliers: Complex[Array, "*lanes states"]
+    """Eigenvalues of the Jacobian of the map over `period` drive periods; without derivative."""
+    residual: Float[Array, "*lanes"]
+    """Relative residual of the motion."""
+    status: Int[Array, "*lanes"]
+    """0 where the motion was found, 1 where the search failed."""
+    frequency: Float[Array, "*lanes"]
+    """Drive frequency, Hz."""
+    frequency_ratio: Float[Array, "*lanes"]
+    """Drive frequency over the first natural frequency; NaN for a system without one."""
+    period: int = eqx.field(static=True)
+    """Drive periods after which the motion repeats."""
+    exact: bool = eqx.field(static=True)
+    """Whether it is an exact solution between contact times."""
+    ratio_units: str = eqx.field(static=True)
+    system: AbstractSystem
+    """What moves."""
+
+    @property
+    def converged(self) -> Any:
+        """Whether the motion was found."""
+        return self.status == 0
+
+    @property
+    def leading_multiplier(self) -> Any:
+        """Largest modulus of the Floquet multipliers."""
+        return jnp.max(jnp.abs(self.floquet_multipliers), axis=-1)
+
+    @property
+    def stable(self) -> Any:
+        """Whether all Floquet multipliers lie inside the unit circle."""
+        return self.leading_multiplier < 1.0
+
+    @property
+    def instability(self) -> str:
+        """`none`, or how stability was lost: fold, period doubling or Neimark-Sacker.
+
+        By the multiplier farthest outside the unit circle: real above 1, real below -1, or complex.
+        """
+        multipliers = np.asarray(self.floquet_multipliers)
+        if multipliers.ndim != 1:
+            raise ValueError("instability is of one response: pick one lane of the batch.")
+        leading = multipliers[int(np.argmax(np.abs(multipliers)))]
+        if np.abs(leading) < 1.0:
+            return "none"
+        if np.abs(leading.imag) > 1e-9 * np.abs(leading):
+            return "Neimark-Sacker"
+        return "fold" if leading.real > 0 else "period doubling"
+
+    @property
+    def sentence(self) -> str:
+        """The status in words."""
+        if np.asarray(self.status).any():
+            return "No periodic motion was found: the numbers mean nothing."
+        kind = {
+            "none": "stable",
+            "fold": "unstable: past a fold (a real multiplier above 1)",
+            "period doubling": "unstable: past a period doubling (a real multiplier below -1)",
+            "Neimark-Sacker": "unstable: past a Neimark-Sacker point (a complex pair outside)",
+        }
+        return f"The motion repeats after {self.period} drive period(s) and is " + (
+            kind[self.instability] + "."
+        )
+
+    def history(self, samples_per_period: int = 256) -> "History":
+        """Return the motion over its period as a time history."""
+        from vibrojax.response.simulate import simulate
+
+        n = self.initial_state.shape[-1] // 2
+        state = self.initial_state[:n], self.initial_state[n:]
+        return simulate(
+            self.system,
+            frequency=self.frequency,
+            periods=self.period,
+            samples_per_period=samples_per_period,
+            initial_state=state,
+        )
+
+    def plot(self) -> "Figure":
+        """Draw displacement and contact force over the period of the motion."""
+        return self.history().plot()
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return a dataset of the numbers, with units and long names."""
+        import xarray
+
+        lanes = tuple(f"lane_{k}" for k in range(np.ndim(self.status)))
+
+        def described(name: str) -> dict[str, str]:
+            unit, long_name = VARIABLES[name]
+            unit = self.ratio_units if unit == "ratio" else unit
+            return {"units": unit, "long_name": long_name}
+
+        data: dict[str, Any] = {
+            name: (lanes, np.asarray(getattr(self, name)), described(name))
+            for name in (*NUMBERS, "frequency_ratio", "status")
+        }
+        multipliers = np.asarray(self.floquet_multipliers)
+        for part, values in (("real", multipliers.real), ("imaginary", multipliers.imag)):
+            name = f"floquet_multiplier_{part}"
+            data[name] = ((*lanes, "multiplier"), values, described(name))
+        data["initial_state"] = (
+            (*lanes, "state"),
+            np.asarray(self.initial_state),
+            {"units": "m, m/s", "long_name": "Modal displacements, then velocities, at phase 0"},
+        )
+        return xarray.Dataset(data, attrs={"title": "vibrojax periodic response"})
+
+    def __repr__(self) -> str:
+        if np.ndim(self.status):
+            failed = int(np.sum(np.asarray(self.status) != 0))
+            return f"PeriodicResponse(batch of {np.shape(self.status)}, {failed} not found)"
+        try:
+            values = [f"  {name:22s}{float(getattr(self, name)):.6g}" for name in NUMBERS]
+        except TypeError:  # being traced
+            return f"PeriodicResponse(period={self.period})"
+        return "\n".join(["PeriodicResponse", *values, f"  {self.sentence}"])
+
+
+def reading_of(
+    system: AbstractSystem,
+    place: Any,
+    reading: Any,
+    *,
+    period: int,
+    multipliers: Array,
+    residual: Array,
+    converged: Array,
+    exact: bool,
+) -> PeriodicResponse:
+    """Put what was read off a motion into ratios to the drive."""
+    reference, units = place.drive.reference
+    natural = getattr(place.equations, "angular_frequency", None)
+    w = place.angular_frequency
+    lost = jnp.where(converged, 0.0, jnp.nan)
+    return PeriodicResponse(
+        amplitude_ratio=(reading.highest - reading.lowest) / 2 / reference + lost,
+        peak_ratio=jnp.maximum(reading.highest, -reading.lowest) / reference + lost,
+        rms_ratio=jnp.sqrt(reading.mean_square) / reference + lost,
+        first_harmonic_ratio=reading.first_harmonic / reference + lost,
+        contact_force=reading.contact_force + lost,
+        contact_fraction=reading.contact_fraction + lost,
+        contacts_per_period=reading.contacts / period + lost,
+        initial_state=reading.initial_state,
+        floquet_multipliers=multipliers,
+        residual=residual,
+        status=jnp.where(converged, 0, 1).astype(jnp.int32),
+        frequency=w / (2 * jnp.pi),
+        frequency_ratio=w * jnp.nan if natural is None else w / natural[0],
+        period=period,
+        exact=exact,
+        ratio_units=units,
+        system=system,
+    )
