@@ -202,3 +202,27 @@ def solve_balance(
     right = -jnp.where(converged, now.residual, 0.0)[None]
     change = solve_condensed(problem, factor, right, total, unknowns)[0]
     return found + change, converged
+
+
+@eqx.filter_jit
+def _solve_here(paths, depth, parameter, period):
+    samples = 2 * (depth.shape[-1] - 1)
+
+    def one(path, depth, parameter):
+        place = path.at(parameter)
+        waveform = jnp.fft.irfft(depth / cell_average(samples, depth.shape[-1]), samples)
+        return solve_balance(place, place, waveform, samples // period, period, None)
+
+    return jax.vmap(one)(paths, depth, parameter)
+
+
+def solve_all(
+    paths: AbstractPath, lane: np.ndarray, depth: np.ndarray, parameter: np.ndarray, *, period: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve many balances at fixed parameters from motions nearby; spectra and which converged."""
+    paths = jax.device_get(paths)
+
+    def solve(i):
+        return _solve_here(localise(paths, lane[i], parameter[i], False), depth[i], parameter[i], period)
+
+    return in_batches(solve, len(lane))

@@ -34,6 +34,7 @@ class Ending(enum.Enum):
     stuck = 2
     turned_back = 3
     closed = 4
+    joined = 5
 
     @property
     def sentence(self) -> str:
@@ -46,6 +47,7 @@ _SENTENCES = {
     Ending.completed: "The branch reaches the end of the range.",
     Ending.stuck: "No next point was found however short the step.",
     Ending.turned_back: "The branch comes back to where the range starts.",
+    Ending.joined: "The branch joins the one of half its period again.",
     Ending.closed: "The branch closes on itself.",
 }
 

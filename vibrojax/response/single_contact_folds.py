@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax.drive import AbstractDrive
 from vibrojax.response.single_contact import (
@@ -13,10 +14,10 @@ from vibrojax.response.single_contact import (
     unit_phases,
     unit_tables,
 )
-from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.systems.base import LinearEquations
 
 lax = jax.lax
+AnyArray = np.ndarray | Array
 
 
 class Fold(NamedTuple):
@@ -32,9 +33,9 @@ class Fold(NamedTuple):
 def fold_of_single_contact(
     equations: LinearEquations,
     drive: AbstractDrive,
-    guess: tuple[Float[Array, ""], Float[Array, ""]],
-    gap_ratio: Float[Array, ""] | None = None,
-    iterations: int = 10,
+    guess: tuple[Float[ArrayLike, ""], Float[ArrayLike, ""]],
+    gap_ratio: Float[ArrayLike, ""] | None = None,
+    iterations: int = 9,
 ) -> Fold:
     """Newton's method on gap ratio and slope in contact fraction and frequency; differentiable.
 
@@ -43,51 +44,55 @@ def fold_of_single_contact(
         drive: of an amplitude above 0.
         guess: contact fraction and angular frequency (rad/s).
         gap_ratio: gap over drive amplitude; by default that of the system.
-        iterations: steps of the method, of which the last carries the derivatives (first order).
+        iterations: steps of the method; one more carries the derivatives (of first order).
+
+    Raises `ValueError` for a system whose motions with one contact have no closed form.
     """
     equations = check_single_stop(equations)
     if gap_ratio is None:
         gap_ratio = jnp.asarray(equations.stops[0].gap) / jnp.asarray(drive.reference[0])
-    return fold_from_phases(unit_phases(equations), drive, guess, gap_ratio, iterations)
+    lanes = (unit_phases(equations), drive, jnp.asarray(gap_ratio))
+    fixed = lax.stop_gradient(lanes)
+    start = lax.stop_gradient(jnp.stack([jnp.asarray(g, float) for g in guess]))
 
-
-def fold_from_phases(
-    phases: ContactPhases,
-    drive: AbstractDrive,
-    guess: tuple[Float[Array, ""], Float[Array, ""]],
-    gap_ratio: Float[Array, ""],
-    iterations: int = 10,
-) -> Fold:
-    """Do the same with phases as of `unit_phases`."""
-    place = jnp.stack([jnp.asarray(g, float) for g in guess])
-
-    def conditions(phases, drive, gap, place):
+    def conditions(phases, drive, gap_ratio, place):
         tables = unit_tables(phases, drive, place[1])
         value, slope, _ = gap_ratio_and_slope(tables, place[0])
-        return jnp.stack([value - gap, slope])
-
-    lanes = (phases, drive, gap_ratio)
-    fixed = lax.stop_gradient(lanes)
-    place = lax.stop_gradient(place)
-
-    def jacobian(place):
-        # By differences of fourth order: a further derivative takes three times as long to compile.
-        width = place * jnp.array([1e-3, 3e-5])
-        near = jax.vmap(lambda k: place + k * jnp.diag(width))(jnp.array([-2.0, -1.0, 1.0, 2.0]))
-        values = jax.vmap(jax.vmap(lambda p: conditions(*fixed, p)))(near)
-        change = jnp.einsum("k,kpc->cp", jnp.array([1.0, -8.0, 8.0, -1.0]) / 12, values)
-        return change / width
+        return jnp.stack([value - gap_ratio, slope])
 
     def newton(place, _):
-        residual, matrix = conditions(*fixed, place), jacobian(place)
-        step = jnp.linalg.solve(matrix, -residual)
-        most = jnp.array([0.3, 0.03]) * place
-        length = jnp.max(jnp.abs(step) / most)
-        step = step / jnp.maximum(length, 1.0)
-        return place + step, (matrix, jnp.max(jnp.abs(step / place)), residual[0])
+        near = places_around(place)
+        flat = jax.vmap(lambda p: conditions(*fixed, p))(near.reshape(-1, 2))
+        step, matrix = newton_step(place, flat.reshape(near.shape))
+        return place + step, (matrix, jnp.max(jnp.abs(step / place)), flat[0, 0])
 
-    place, (matrices, steps, misses) = lax.scan(newton, place, length=iterations - 1)
-    # From here on derivatives are taken: those of the solution of the conditions.
+    place, (matrices, moves, misses) = lax.scan(newton, start, length=iterations)
     place = place - jnp.linalg.solve(matrices[-1], conditions(*lanes, place))
     size = jnp.maximum(jnp.abs(fixed[2]), jnp.finfo(place.dtype).tiny)
-    return Fold(place[0], place[1], jnp.maximum(steps[-1], jnp.abs(misses[-1]) / size))
+    return Fold(place[0], place[1], jnp.maximum(moves[-1], jnp.abs(misses[-1]) / size))
+
+
+# Derivatives by differences of fourth order, in the same batch as the residual: a further
+# derivative would take three times as long to compile.
+STEPS = np.array([0.0, -2.0, -1.0, 1.0, 2.0])
+WEIGHTS = np.array([0.0, 1.0, -8.0, 8.0, -1.0]) / 12
+WIDTH = np.array([1e-3, 3e-5])
+"""Relative steps in contact fraction and frequency."""
+
+
+def places_around(place: Float[AnyArray, "*many 2"]) -> Float[AnyArray, "5 2 *many 2"]:
+    """Places (contact fraction, frequency) at which `newton_step` wants the conditions."""
+    steps = (STEPS[:, None, None] * np.diag(WIDTH)).reshape(5, 2, *[1] * (place.ndim - 1), 2)
+    return place * (1 + steps)
+
+
+def newton_step(
+    place: Float[AnyArray, "*many 2"], values: Float[AnyArray, "5 2 *many 2"]
+) -> tuple[Float[Array, "*many 2"], Float[Array, "*many 2 2"]]:
+    """Return the step, and the Jacobian, from the conditions at `places_around`."""
+    matrix = jnp.einsum("k,kp...c->...cp", WEIGHTS, values) / (place * WIDTH)[..., None, :]
+    step = jnp.linalg.solve(matrix, -values[0, 0][..., None])[..., 0]
+    # Where the surface bends the other way a step can lead far off.
+    most = place * np.array([0.3, 0.03])
+    length = jnp.max(jnp.abs(step) / most, axis=-1, keepdims=True)
+    return step / jnp.maximum(length, 1.0), matrix

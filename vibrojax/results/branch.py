@@ -98,6 +98,8 @@ class Branch(eqx.Module):
     """First natural frequency of the unstopped system, Hz, where the branch starts."""
     labels: dict[str, float]
     """Value of every axis of the call that this branch belongs to."""
+    range: tuple[float, float] = eqx.field(static=True)
+    """The range that was followed."""
     attributes: dict[str, str] = eqx.field(static=True)
     path: "AbstractPath"
     """The system along the parameter, as one lane of a stack."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,8 +16,8 @@ from vibrojax.response.continuation import LONGEST_STEP, Ending, Settings, begin
 from vibrojax.response.methods import HarmonicBalance
 from vibrojax.response.paths import AbstractPath, ParameterPath, frequency_path, localise
 from vibrojax.response.special_points import brackets_of, first_touches, refine, special
+from vibrojax.response.starting import stepper
 from vibrojax.response.tracing import (
-    BATCH,
     Traced,
     free_motion,
     in_batches,
@@ -29,7 +29,7 @@ from vibrojax.results.branch import Branch, Branches, SpecialPoint
 from vibrojax.stepping.choice import is_exact
 from vibrojax.studies.axes import lanes_of
 from vibrojax.studies.continuation_axes import Along, along_of
-from vibrojax.studies.starting import settled_guess
+from vibrojax.studies.starting import sampled_depth, settled_guess
 from vibrojax.systems.base import AbstractSystem
 
 CONVERGED = 1e-4
@@ -114,14 +114,24 @@ def _references(paths: AbstractPath, parameter):
     return jax.vmap(one)(paths, parameter)
 
 
+def references(paths: AbstractPath, lane: np.ndarray, values: np.ndarray):
+    """Return drive amplitude (the reference of ratios) and first natural angular frequency."""
+    paths = jax.device_get(paths)
+    return in_batches(
+        lambda i: _references(localise(paths, lane[i], values[i], False), values[i]), len(lane)
+    )
+
+
 class _Work:
     """One continuation: its lanes and how they are traced."""
 
-    def __init__(self, along: Along, exact, samples, harmonics, period, max_points, longest):
+    def __init__(
+        self, along: Along, exact, samples, harmonics, period, max_points, longest, paths=None
+    ):
         self.along, self.exact, self.samples = along, exact, samples
         self.harmonics, self.period, self.max_points = harmonics, period, max_points
         self.longest = longest
-        self.paths = paths_of(along, exact)
+        self.paths = paths_of(along, exact) if paths is None else paths
         self.low, self.high = along.low, along.high
         self.is_frequency = along.name in ("frequency_ratio", "frequency")
 
@@ -233,6 +243,41 @@ class _Work:
         )
         return self.join(ways)
 
+    @classmethod
+    def again(cls, branch: Branch, max_points: int = 2000, longest_step: float = LONGEST_STEP):
+        """Prepare to follow the motions of twice the period of a branch."""
+        along = Along(
+            make=None,
+            name=branch.axis,
+            low=branch.range[0],
+            high=branch.range[1],
+            axes={},
+            fixed={},
+            static={},
+            labels=[branch.labels],
+            frequency=np.nan,
+            is_ratio=branch.axis == "frequency_ratio",
+            sample=_Sample(branch.ratio_units),
+            description=branch.attributes["rig"],
+        )
+        samples = int(branch.attributes["samples"])
+        return cls(
+            along, True, samples, None, 2 * branch.period, max_points, longest_step, branch.path
+        )
+
+    def from_direction(self, depth, tangent, value) -> Branch:
+        """Follow a branch one way from a point of it along a direction."""
+        settings = self.settings(1, value, np.ones(1))
+        traced = trace_branches(
+            self.paths,
+            settings,
+            begin(depth, value, tangent, np.zeros(1)),
+            samples=self.samples * self.period,
+            period=self.period,
+            max_points=self.max_points,
+        )
+        return self.finish(self.paths, _until_joined(traced, tangent), [""], np.arange(1))[0]
+
     def join(self, ways: list[Traced]) -> Branch:
         """Join the two ways from a start into one branch."""
         up, down = ways
@@ -261,10 +306,7 @@ class _Work:
         length = np.concatenate([_arclength(t) for t in traced])
         pieces, keep = self._points(paths, lane, groups, parameter)
         values = pieces["parameter"]
-        paths = jax.device_get(paths)
-        reference, natural = in_batches(
-            lambda i: _references(localise(paths, lane[i], values[i], False), values[i]), len(lane)
-        )
+        reference, natural = references(paths, lane, values)
         pieces |= {
             "amplitude_ratio": (pieces["highest"] - pieces["lowest"]) / 2 / reference,
             "peak_ratio": np.maximum(pieces["highest"], -pieces["lowest"]) / reference,
@@ -297,6 +339,7 @@ class _Work:
                     ratio_units=self.along.sample.drive.reference[1],
                     natural_frequency=float(natural[at[0]] / 2 / np.pi) if len(at) else np.nan,
                     labels=self.along.labels[lanes[k]],
+                    range=(self.low, self.high),
                     attributes=self.attributes(),
                     path=take(self.paths, np.array([lanes[k]])),
                     depth=depth[k],
@@ -367,9 +410,7 @@ class _Work:
 
     def _described(self, paths, lane, kind, after, parameter, motion) -> SpecialPoint:
         reading = motion.reading
-        at = np.full(BATCH, parameter)
-        here = localise(paths, np.full(BATCH, lane), at, False)
-        reference = _references(here, at)[0][0]
+        (reference,), _ = references(paths, np.array([lane]), np.array([parameter]))
         amplitude = float((reading.highest - reading.lowest) / 2 / reference)
         force = float(reading.contact_force)
         return SpecialPoint(kind, parameter, amplitude, force, reading.initial_state, after)
@@ -401,6 +442,7 @@ class _Work:
             ratio_units=self.along.sample.drive.reference[1],
             natural_frequency=np.nan,
             labels=self.along.labels[lane],
+            range=(self.low, self.high),
             attributes=self.attributes(),
             path=take(self.paths, np.array([lane])),
             depth=np.asarray(traced.depth),
@@ -453,6 +495,50 @@ def paths_of(along: Along, exact: bool) -> AbstractPath:
         frequency=jnp.full(along.count, along.frequency),
         is_ratio=along.is_ratio,
     )
+
+
+class _Sample(NamedTuple):
+    """What the result needs of a system that is not at hand."""
+
+    ratio_units: str
+
+    @property
+    def drive(self):
+        return self
+
+    @property
+    def reference(self):
+        return 1.0, self.ratio_units
+
+
+@eqx.filter_jit
+def _critical(paths: AbstractPath, value, state, period):
+    """Return the state of a motion and one moved a little along its multiplier of -1."""
+    path = take(paths, 0)
+    place = path.at(value[0])
+    march = stepper(True).prepare(place.equations, place.drive)
+    weight = march.energy_weight()
+    periods = jnp.asarray(period, jnp.int32)
+
+    def image(x):
+        return march(x / weight, place.angular_frequency, periods, False)[0] * weight
+
+    matrix = jax.jacfwd(image)(state * weight)
+    # The multiplier is real: its vector spans the null space of the matrix plus one.
+    _, _, right = jnp.linalg.svd(matrix + jnp.eye(state.size))
+    size = 1e-4 * jnp.linalg.norm(state * weight)
+    return state, state + size * right[-1] / weight
+
+
+def _until_joined(traced: list[Traced], tangent: np.ndarray) -> list[Traced]:
+    """Cut a doubled branch where it joins the single one again: its odd part changes sign."""
+    (one,) = traced
+    along = np.sum((one.depth * np.conj(tangent[0])).real, axis=(1, 2))
+    back = np.flatnonzero(along <= 0)
+    if not len(back):
+        return traced
+    end = int(back[0])
+    return [Traced(one.parameter[:end], one.depth[:end], one.direction[:end], Ending.joined, one.ticks)]
 
 
 def start_of(start: Any, name: str) -> tuple[np.ndarray, float]:
@@ -512,4 +598,27 @@ def _unrefined(brackets, lane, values, amplitude, force, state) -> list[SpecialP
 
 def switch_branch(branch: Branch, number: int, **settings: Any) -> Branch:
     """Follow the doubled period from a period doubling; see `Branch.switch`."""
-    raise NotImplementedError
+    points = [p for p in branch.special_points if p.kind == "period_doubling"]
+    if not 0 <= number < len(points):
+        raise ValueError(
+            f"number must be one of the {len(points)} period doublings of the branch, counted from "
+            f"0, got {number}."
+        )
+    if not branch.exact:
+        raise ValueError("Only branches of linear stops without smoothing can be switched.")
+    point = points[number]
+    assert point.initial_state is not None
+    work = _Work.again(branch, **settings)
+    n = work.samples * work.period
+    value = np.array([point.parameter])
+    state = jnp.asarray(point.initial_state)
+    response = _critical(branch.path, value, state, branch.period)
+    depth = [
+        np.asarray(sampled_depth(branch.path, value, s[None], n, work.period, True))
+        for s in response
+    ]
+    # The doubled motion leaves along the mode that changes sign from period to period.
+    base, moved = depth
+    odd = (moved - base) * (np.arange(base.shape[-1]) % 2 == 1)
+    even = base * (np.arange(base.shape[-1]) % 2 == 0)
+    return work.from_direction(even, odd, value)

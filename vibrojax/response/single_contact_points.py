@@ -1,0 +1,83 @@
+"""Many motions with one contact per drive period: everything about each, in batches of one size.
+
+One size compiles once, for grids, pictures and folds alike.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from vibrojax.drive import AbstractDrive
+from vibrojax.response.single_contact import multipliers, single_contact, unit_tables
+from vibrojax.response.single_contact_orbit import read_single_contact
+from vibrojax.stepping.contact_phases import ContactPhases
+
+BATCH = 256
+"""Motions at once: what is looked at of each takes some 25 kB."""
+
+
+AnyArray = np.ndarray | Array
+
+
+class Points(NamedTuple):
+    """What is known of some motions, per unit of drive amplitude."""
+
+    gap_ratio: Float[AnyArray, "..."]
+    slope: Float[AnyArray, "... 2"]
+    """Derivatives of the gap ratio in contact fraction and angular frequency."""
+    multiplier: Float[AnyArray, "..."]
+    """Largest modulus of the Floquet multipliers."""
+    amplitude: Float[AnyArray, "..."]
+    """Half peak-to-peak displacement."""
+    peak: Float[AnyArray, "..."]
+    force: Float[AnyArray, "..."]
+    valid: Bool[AnyArray, "..."]
+
+
+@eqx.filter_jit
+def _batch(phases: ContactPhases, drive: AbstractDrive, places: Float[Array, "motions 2"]):
+    def gap_of(place):
+        found = single_contact(unit_tables(phases, drive, place[1]), place[0])
+        return found.gap_ratio, found
+
+    def one(place):
+        slope, found = jax.jacfwd(gap_of, has_aux=True)(place)
+        tables = unit_tables(phases, drive, place[1])
+        reading, valid = read_single_contact(tables, found)
+        return Points(
+            gap_ratio=found.gap_ratio,
+            slope=slope,
+            multiplier=jnp.max(jnp.abs(multipliers(tables, place[0]))),
+            amplitude=(reading.highest - reading.lowest) / 2,
+            peak=jnp.maximum(reading.highest, -reading.lowest),
+            force=reading.contact_force,
+            valid=valid,
+        )
+
+    return jax.vmap(one)(places)
+
+
+def evaluate(
+    phases: ContactPhases, drive: AbstractDrive, places: Float[np.ndarray, "*many 2"]
+) -> Points:
+    """Evaluate motions at places (contact fraction, angular frequency), of any shape.
+
+    `phases` as of `unit_phases`.
+    """
+    shape = places.shape[:-1]
+    flat = places.reshape(-1, 2)
+    missing = -len(flat) % BATCH
+    whole = np.concatenate([flat, np.repeat(flat[:1], missing, axis=0)])
+    parts = [
+        jax.device_get(_batch(phases, drive, jnp.asarray(part)))
+        for part in whole.reshape(-1, BATCH, 2)
+    ]
+
+    def joined(*pieces):
+        return np.concatenate(pieces)[: len(flat)].reshape((*shape, *pieces[0].shape[1:]))
+
+    return jax.tree.map(joined, *parts)
