@@ -21,6 +21,9 @@ from vibrojax.response.simulate import motion as motion
 from vibrojax.response.simulate import simulate as simulate
 from vibrojax.results.frequency_response import FrequencyResponse as FrequencyResponse
 from vibrojax.results.history import History as History
+from vibrojax.results.single_contact_response import (
+    SingleContactResponse as SingleContactResponse,
+)
 from vibrojax.results.status import Status as Status
 from vibrojax.rig_file import read_rig as read_rig
 from vibrojax.rigs import default_rig as default_rig
@@ -28,6 +31,7 @@ from vibrojax.stepping.method import AbstractMethod as AbstractMethod
 from vibrojax.stepping.method import ExactContact as ExactContact
 from vibrojax.stepping.method import ExponentialSplitting as ExponentialSplitting
 from vibrojax.studies.frequency_sweep import frequency_sweep as frequency_sweep
+from vibrojax.studies.single_contact import single_contact_response as single_contact_response
 from vibrojax.systems.base import AbstractEquations as AbstractEquations
 from vibrojax.systems.base import AbstractSystem as AbstractSystem
 from vibrojax.systems.base import LinearEquations as LinearEquations

@@ -76,7 +76,7 @@ def fold_of_single_contact(
 # derivative would take three times as long to compile.
 STEPS = np.array([0.0, -2.0, -1.0, 1.0, 2.0])
 WEIGHTS = np.array([0.0, 1.0, -8.0, 8.0, -1.0]) / 12
-WIDTH = np.array([1e-3, 3e-5])
+WIDTH = np.array([2e-4, 1e-5])
 """Relative steps in contact fraction and frequency."""
 
 

@@ -2,103 +2,41 @@
 
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_range, concrete
 from vibrojax.drive import AbstractDrive
 from vibrojax.response.single_contact import (
-    SingleContact,
     check_single_stop,
     contact_free_amplitude,
-    gap_ratio_and_slope,
-    multipliers,
     touch_gap_ratio,
     unit_phases,
     unit_tables,
 )
-from vibrojax.response.single_contact_orbit import read_single_contact
+from vibrojax.response.single_contact_points import Points, evaluate
 from vibrojax.results.single_contact_response import SingleContactResponse
 from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.studies.frequency_sweep import _frequency_axis
 from vibrojax.systems.base import AbstractSystem, as_arrays, equations_of
 
-CHUNK = 256
-"""Motions read at once: what is looked at of each takes some 25 kB."""
 DEFAULT_FRACTIONS = 0.45 * np.linspace(0.04, 1.0, 97) ** 2
 """Dense towards short contacts, where the lower fold is."""
 
 
-class _Grid(NamedTuple):
-    found: SingleContact
-    slope: Float[Array, "fractions frequencies"]
-    multiplier: Float[Array, "fractions frequencies"]
-    touch: Float[Array, " frequencies"]
-    free: Float[Array, " frequencies"]
-
-
 @eqx.filter_jit
-def _solve(
-    phases: ContactPhases,
-    drive: AbstractDrive,
-    angular_frequency: Float[Array, " frequencies"],
-    fractions: Float[Array, " fractions"],
-) -> _Grid:
-    def point(tables, fraction):
-        _, slope, found = gap_ratio_and_slope(tables, fraction)
-        return found, slope, jnp.max(jnp.abs(multipliers(tables, fraction)))
-
-    def column(w):
+def _touches(
+    phases: ContactPhases, drive: AbstractDrive, angular_frequency: Float[Array, " frequencies"]
+) -> tuple[Float[Array, " frequencies"], Float[Array, " frequencies"]]:
+    def one(w):
         tables = unit_tables(phases, drive, w)
-        found, slope, multiplier = jax.vmap(lambda f: point(tables, f))(fractions)
-        return _Grid(
-            found, slope, multiplier, touch_gap_ratio(tables), contact_free_amplitude(tables)
-        )
+        return touch_gap_ratio(tables), contact_free_amplitude(tables)
 
-    by_frequency = jax.vmap(column)(angular_frequency)
-    swapped = jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), by_frequency[:3])
-    return _Grid(*swapped, *by_frequency[3:])
-
-
-class _Reading(NamedTuple):
-    amplitude: Float[Array, " motions"]
-    peak: Float[Array, " motions"]
-    force: Float[Array, " motions"]
-    valid: Bool[Array, " motions"]
-
-
-@eqx.filter_jit
-def _read(
-    phases: ContactPhases,
-    drive: AbstractDrive,
-    angular_frequency: Float[Array, " motions"],
-    found: SingleContact,
-) -> _Reading:
-    def one(at):
-        w, motion = at
-        reading, valid = read_single_contact(unit_tables(phases, drive, w), motion)
-        return _Reading(
-            amplitude=(reading.highest - reading.lowest) / 2,
-            peak=jnp.maximum(reading.highest, -reading.lowest),
-            force=reading.contact_force,
-            valid=valid,
-        )
-
-    count = angular_frequency.size
-    chunks = max(1, -(-count // CHUNK))
-    rows = -(-count // chunks)
-
-    def split(a):
-        a = jnp.concatenate([a, jnp.repeat(a[:1], chunks * rows - count, axis=0)])
-        return a.reshape(chunks, rows, *a.shape[1:])
-
-    many = jax.lax.map(jax.vmap(one), jax.tree.map(split, (angular_frequency, found)))
-    return jax.tree.map(lambda a: a.reshape(-1)[:count], many)
+    return jax.vmap(one)(angular_frequency)
 
 
 def single_contact_response(
@@ -127,8 +65,6 @@ def single_contact_response(
     Raises `ValueError` for another kind of system or stop, a drive without an amplitude, and
     frequencies or contact fractions that are empty, out of range or not increasing.
     """
-    if not isinstance(system, AbstractSystem):
-        raise ValueError(f"system must be a system such as ImpactingBeam, got {system!r}.")
     axis, grid = _frequency_axis(frequency_ratio, frequency)
     fractions = _fractions(contact_fraction)
     reference, ratio_units = system.drive.reference
@@ -141,18 +77,15 @@ def single_contact_response(
     equations = check_single_stop(equations_of(as_arrays(system)))
     phases, drive = eqx.filter_jit(unit_phases)(equations), as_arrays(system.drive)
     first = equations.angular_frequency[0]
-    angular = jnp.asarray(grid) * (first if axis == "frequency_ratio" else 2 * np.pi)
-
-    solved = _solve(phases, drive, angular, jnp.asarray(fractions))
-    shape = solved.slope.shape
-    flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), solved.found)
-    every = jnp.broadcast_to(angular, shape).reshape(-1)
-    read = jax.tree.map(lambda a: np.asarray(a).reshape(shape), _read(phases, drive, every, flat))
+    angular = grid * (float(first) if axis == "frequency_ratio" else 2 * np.pi)
+    touch, free = _touches(phases, drive, jnp.asarray(angular))
+    places = np.stack(np.meshgrid(fractions, angular, indexing="ij"), axis=-1)
+    points = Points(*map(np.asarray, evaluate(phases, drive, places)))
+    stable = points.valid & (points.multiplier < 1)
 
     def where_valid(values):
-        return np.where(read.valid, values, np.nan)
+        return np.where(points.valid, values, np.nan)
 
-    multiplier = np.asarray(solved.multiplier)
     return SingleContactResponse(
         system=system,
         axis=axis,
@@ -160,16 +93,16 @@ def single_contact_response(
         contact_fraction=fractions,
         ratio_units=ratio_units,
         natural_frequency=float(first) / (2 * np.pi),
-        gap_ratio=np.asarray(solved.found.gap_ratio),
-        gap_ratio_slope=np.asarray(solved.slope),
-        amplitude_ratio=where_valid(read.amplitude),
-        peak_ratio=where_valid(read.peak),
-        contact_force=where_valid(read.force * float(np.asarray(reference))),
-        leading_multiplier=multiplier,
-        stable=read.valid & (multiplier < 1),
-        valid=read.valid,
-        touch_gap_ratio=np.asarray(solved.touch),
-        contact_free_amplitude_ratio=np.asarray(solved.free),
+        gap_ratio=np.asarray(points.gap_ratio),
+        gap_ratio_slope=np.asarray(points.slope[..., 0]),
+        amplitude_ratio=where_valid(points.amplitude),
+        peak_ratio=where_valid(points.peak),
+        contact_force=where_valid(points.force * float(np.asarray(reference))),
+        leading_multiplier=np.asarray(points.multiplier),
+        stable=np.asarray(stable),
+        valid=np.asarray(points.valid),
+        touch_gap_ratio=np.asarray(touch),
+        contact_free_amplitude_ratio=np.asarray(free),
         attributes={
             "title": "vibrojax single-contact response",
             "rig": repr(system),
