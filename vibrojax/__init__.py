@@ -17,10 +17,17 @@ from vibrojax.drive import NoDrive as NoDrive
 from vibrojax.drive import PointForce as PointForce
 from vibrojax.modes import Modes as Modes
 from vibrojax.modes import modes as modes
+from vibrojax.response.methods import HarmonicBalance as HarmonicBalance
+from vibrojax.response.methods import Shooting as Shooting
+from vibrojax.response.periodic_response import periodic_response as periodic_response
 from vibrojax.response.simulate import motion as motion
 from vibrojax.response.simulate import simulate as simulate
+from vibrojax.results.branch import Branch as Branch
+from vibrojax.results.branch import Branches as Branches
+from vibrojax.results.branch import SpecialPoint as SpecialPoint
 from vibrojax.results.frequency_response import FrequencyResponse as FrequencyResponse
 from vibrojax.results.history import History as History
+from vibrojax.results.periodic_response import PeriodicResponse as PeriodicResponse
 from vibrojax.results.single_contact_response import (
     SingleContactResponse as SingleContactResponse,
 )
@@ -30,6 +37,7 @@ from vibrojax.rigs import default_rig as default_rig
 from vibrojax.stepping.method import AbstractMethod as AbstractMethod
 from vibrojax.stepping.method import ExactContact as ExactContact
 from vibrojax.stepping.method import ExponentialSplitting as ExponentialSplitting
+from vibrojax.studies.continue_response import continue_response as continue_response
 from vibrojax.studies.frequency_sweep import frequency_sweep as frequency_sweep
 from vibrojax.studies.single_contact import single_contact_response as single_contact_response
 from vibrojax.systems.base import AbstractEquations as AbstractEquations

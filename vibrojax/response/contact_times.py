@@ -91,7 +91,7 @@ def _turned(tables: Tables, phase, blocks, angle):
     return jnp.concatenate([growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)])
 
 
-def _lateness(tables: Tables, phase, stop, moved, angle):
+def _lateness(tables: Tables, phase, stop, moved, angle, with_slope: bool = False):
     """First-order time (rad) by which the stop's change of contact comes later than the angle."""
     phases, stops = tables.phases, tables.phases.num_stops
     sine, cosine_ = jnp.sin(angle), jnp.cos(angle)
@@ -111,9 +111,10 @@ def _lateness(tables: Tables, phase, stop, moved, angle):
         force = (stiffness * value + damping * slope) / safe
         force_slope = (stiffness * slope + damping * read(2 * stops + stop)) / safe
         value, slope = jnp.where(pushes, force, value), jnp.where(pushes, force_slope, slope)
-    slope = lax.stop_gradient(slope) / tables.angular_frequency
-    # Far from the motion a full correction can throw an event out of its order.
-    return jnp.clip(-value / jnp.where(slope == 0, 1.0, slope), -0.3, 0.3)
+    slope = slope / tables.angular_frequency
+    if not with_slope:
+        slope = lax.stop_gradient(slope)
+    return -value / jnp.where(slope == 0, 1.0, slope)
 
 
 class Course(NamedTuple):
@@ -139,13 +140,14 @@ def follow_events(
     count: int | Int[Array, ""] | None = None,
     *,
     with_jacobian: bool = False,
+    twice: bool = False,
 ) -> Course:
     """Follow a motion from the section through its events, over `period` drive periods.
 
     Every event is moved to where its stop changes contact, to first order: at a motion whose times
     are right nothing moves, and the derivative includes the change of the times (saltation).
     `count` is the number of events to go through; without it all places are, which reverse mode
-    needs.
+    needs. `twice` corrects the times twice, which second derivatives need.
     """
     phases = tables.phases
     # The Jacobian is no object of differentiation itself.
@@ -176,7 +178,16 @@ def follow_events(
         blocks = phases.from_state[phase] @ state - _forced(tables, phase, begun)
         if phases.num_stops:
             moved = _turned(tables, phase, blocks, angle - begun)
-            angle = angle + jnp.where(used, _lateness(tables, phase, s, moved, angle), 0.0)
+            # Far from the motion a full correction could throw an event out of its order.
+            following = jnp.where(k + 1 < room, times[jnp.minimum(k + 1, room - 1)], last)
+            room_left = jnp.minimum(jnp.minimum(angle - begun, following - angle), 1.0)
+            limit = 0.4 * lax.stop_gradient(jnp.maximum(room_left, 0.0))
+            late = _lateness(tables, phase, s, moved, angle, twice)
+            angle = angle + jnp.where(used, jnp.clip(late, -limit, limit), 0.0)
+            if twice:
+                moved = _turned(tables, phase, blocks, angle - begun)
+                late = _lateness(tables, phase, s, moved, angle, twice)
+                angle = angle + jnp.where(used, jnp.clip(late, -limit, limit), 0.0)
         moved = _turned(tables, phase, blocks, angle - begun)
         state = phases.to_state[phase] @ (moved + _forced(tables, phase, angle))
         return (
@@ -244,7 +255,7 @@ def solve_orbit(
     period: int,
     *,
     hold: bool,
-    iterations: int = 3,
+    iterations: int = 4,
 ) -> Solved:
     """Newton's method on the state at the section, the event times following.
 

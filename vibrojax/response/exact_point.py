@@ -16,6 +16,8 @@ from vibrojax.response.orbit_reading import Reading, read_course
 
 ACCURATE = 1e-9
 """Largest relative residual of an exact motion."""
+NEAR = 0.3
+"""Farthest that a motion may lie from its guess, over its size: beyond, it is another one."""
 BREACH = 1e-8
 """Largest breach of the sequence of events, over the size of the motion."""
 
@@ -52,7 +54,7 @@ def exact_point(
     period: int,
     *,
     hold: bool,
-    iterations: int = 3,
+    iterations: int = 4,
 ) -> tuple[ExactPoint, Course]:
     """Turn a guess into an exact motion.
 
@@ -71,10 +73,13 @@ def exact_point(
         jnp.max(jnp.abs(tables.phases.gap), initial=0.0),
         jnp.maximum(reading.highest, -reading.lowest),
     )
+    moved = (solved.orbit.state - guess.orbit.state) * tables.phases.weight
+    extent = jnp.linalg.norm(guess.orbit.state * tables.phases.weight)
     whole = jnp.all(jnp.isfinite(solved.jacobian)) & jnp.isfinite(solved.residual)
     valid = (
         whole
         & (solved.residual < ACCURATE)
+        & (jnp.linalg.norm(moved) <= NEAR * extent)
         & reading.ordered
         & ~(reading.breach > BREACH * size)
         & guess.fits

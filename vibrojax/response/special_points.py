@@ -127,7 +127,9 @@ def refine(
     for k, (b, *_rest) in enumerate(usable):
         if b.kind == "fold":
             best[k] = _vertex(places[k], p[k], best[k])
+    samples, count = points, places.shape[1]
     points, _ = solve(best[:, None])
+    points = _or_best_sample(points, samples, count, usable)
     keep &= points.valid
     torus = np.array([u[0].kind == "neimark_sacker" for u in usable])
     keep &= ~torus | on_circle(points.multipliers)
@@ -150,6 +152,28 @@ def refine(
         parameter=points.parameter[index],
         point=take(points, index),
     )
+
+
+def _or_best_sample(points, samples, count, usable) -> ExactPoint:
+    """Where the last motion failed (a corner, at a touch) take the best of the samples before."""
+    chosen = []
+    for k, (b, *_rest) in enumerate(usable):
+        rows = np.arange(k * count, (k + 1) * count)
+        rows = rows[samples.valid[rows]]
+        if points.valid[k] or b.kind != "fold" or len(rows) < 3:
+            chosen.append(-1)
+            continue
+        p = samples.parameter[rows]
+        up = np.max(p) - max(p[0], p[-1]) >= min(p[0], p[-1]) - np.min(p)
+        chosen.append(int(rows[np.argmax(p) if up else np.argmin(p)]))
+    chosen = np.array(chosen)
+    take_from = np.maximum(chosen, 0)
+
+    def pick(a, b):
+        use = (chosen >= 0).reshape((-1,) + (1,) * (np.ndim(a) - 1))
+        return np.where(use, b[take_from], a)
+
+    return jax.tree.map(pick, points, samples)
 
 
 def _narrow(kind, place, parameter, multipliers):

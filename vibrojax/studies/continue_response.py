@@ -404,7 +404,7 @@ class _Work:
                 for after, parameter in first_touches(paths, k, values[at], touching):
                     amplitude = float(pieces["amplitude_ratio"][at][after])
                     points.append(SpecialPoint("grazing", parameter, amplitude, 0.0, None, after))
-            return tuple(sorted(points, key=lambda p: p.after))
+            return tuple(sorted(_snapped(points, values[at]), key=lambda p: p.after))
 
         return specials
 
@@ -573,6 +573,31 @@ def _arclength(traced: Traced) -> np.ndarray:
     moved = np.sqrt(np.sum(np.abs(np.diff(traced.depth, axis=0)) ** 2, axis=(1, 2)))
     step = np.hypot(moved / size, np.diff(traced.parameter))
     return np.concatenate([[0.0], np.cumsum(step)])
+
+
+def _snapped(points: list[SpecialPoint], values: np.ndarray) -> list[SpecialPoint]:
+    """Put folds that are corners at a touch on the touch itself.
+
+    Where contact begins, a branch can turn round at once: then its extreme is the touch, and no
+    smooth fold beyond it was found.
+    """
+    touches = [p for p in points if p.kind == "grazing"]
+
+    def snap(point: SpecialPoint) -> SpecialPoint:
+        if point.kind != "fold":
+            return point
+        middle = values[point.after]
+        near = values[max(point.after - 1, 0) : point.after + 2]
+        way = 1.0 if middle >= near.max() else -1.0
+        for touch in touches:
+            beyond = way * (touch.parameter - point.parameter)
+            if abs(touch.after - point.after) <= 2 and 0 < beyond < 2e-3 * abs(touch.parameter):
+                return SpecialPoint(
+                    "fold", touch.parameter, touch.amplitude_ratio, 0.0, None, point.after
+                )
+        return point
+
+    return [snap(p) for p in points]
 
 
 def _unrefined(brackets, lane, values, amplitude, force, state) -> list[SpecialPoint]:

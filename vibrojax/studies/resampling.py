@@ -2,16 +2,19 @@
 
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 
 from vibrojax.response.balanced_motion import read_all, solve_all
-from vibrojax.response.tracing import make_exact
+from vibrojax.response.exact_point import Guess
+from vibrojax.response.tracing import exact_from, make_exact
 from vibrojax.results.branch import Branch, axis_description
 from vibrojax.results.variables import VARIABLES
 
 if TYPE_CHECKING:
     import xarray
 
+CREEPS = 8
 VARIABLES_KEPT = (
     "amplitude_ratio",
     "peak_ratio",
@@ -32,13 +35,13 @@ def resample(branch: Branch, values: Any) -> "xarray.Dataset":
     values = np.atleast_1d(np.asarray(values, float))
     if values.ndim != 1 or not values.size or not np.isfinite(values).all():
         raise ValueError(f"values must be a non-empty list of finite numbers, got {values!r}.")
-    at, which, depth = _crossings(branch, values)
+    at, which, first, share = _crossings(branch, values)
     crossings = int(which.max(initial=-1)) + 1
     shape = (len(values), crossings)
     columns = {name: np.full(shape, np.nan) for name in (*VARIABLES_KEPT, "stable")}
     states = np.full((*shape, branch.initial_state.shape[1]), np.nan)
     if len(at):
-        solved = _solve(branch, values[at], depth)
+        solved = _solve(branch, values[at], first, share)
         for name, column in columns.items():
             column[at, which] = solved[name]
         states[at, which] = solved["initial_state"]
@@ -63,9 +66,9 @@ def resample(branch: Branch, values: Any) -> "xarray.Dataset":
 
 
 def _crossings(branch: Branch, values: np.ndarray):
-    """Where the branch passes each value: value, how many times before, spectrum there."""
+    """Where the branch passes each value: value, times before, point before, way to the next."""
     x = branch.values
-    at, which, spectra = [], [], []
+    at, which, first, shares = [], [], [], []
     for k, value in enumerate(values):
         inside = (np.minimum(x[:-1], x[1:]) <= value) & (value < np.maximum(x[:-1], x[1:]))
         if len(x) and value == x[-1] and not inside[-1:].any():
@@ -74,8 +77,9 @@ def _crossings(branch: Branch, values: np.ndarray):
             share = (value - x[i]) / (x[i + 1] - x[i])
             at.append(k)
             which.append(count)
-            spectra.append(_interpolated(branch, i, share))
-    return np.array(at, int), np.array(which, int), np.array(spectra)
+            first.append(i)
+            shares.append(share)
+    return np.array(at, int), np.array(which, int), np.array(first, int), np.array(shares)
 
 
 def _interpolated(branch: Branch, i: int, share: float) -> np.ndarray:
@@ -96,11 +100,45 @@ def _interpolated(branch: Branch, i: int, share: float) -> np.ndarray:
     return np.einsum("k,k...->...", weights, depth[i - 1 : i + 3])
 
 
-def _solve(branch: Branch, values: np.ndarray, depth: np.ndarray) -> dict[str, np.ndarray]:
+def _exactly(branch: Branch, values, first, share, depth):
+    """Exact motions at the values; where the branch is steep, by creeping along it."""
+    lane = np.zeros(len(values), int)
+    settings = {"period": branch.period}
+    point = make_exact(branch.path, lane, depth, values, hold=True, **settings)
+    left = np.flatnonzero(~point.valid)
+    if not len(left):
+        return point
+    x, i = branch.values, first[left]
+    low, high = np.zeros(len(left)), np.ones(len(left))
+    below, above = x[i] - values[left], x[i + 1] - values[left]
+    for _ in range(CREEPS):
+        middle = np.clip(low - below * (high - low) / (above - below), low, high)
+        middle = np.where(_ % 3 == 2, (low + high) / 2, middle)
+        way = middle[:, None, None]
+        between = (1 - way) * branch.depth[i] + way * branch.depth[i + 1]
+        guess = (1 - middle) * x[i] + middle * x[i + 1]
+        near = make_exact(branch.path, lane[left], between, guess, **settings)
+        value = np.where(near.valid, near.parameter - values[left], guess - values[left])
+        same = value * below > 0
+        low, below = np.where(same, middle, low), np.where(same, value, below)
+        high, above = np.where(same, high, middle), np.where(same, above, value)
+    close = Guess(near.events, near.orbit, np.ones(len(left), bool))
+    found = exact_from(branch.path, lane[left], close, values[left], hold=True, **settings)
+
+    def put(a, b):
+        a = np.array(a)
+        a[left] = b
+        return a
+
+    return jax.tree.map(put, point, found)
+
+
+def _solve(branch: Branch, values, first, share) -> dict[str, np.ndarray]:
     """Solve at the values held fixed; NaN where no motion is found near the branch."""
     lane = np.zeros(len(values), int)
+    depth = np.array([_interpolated(branch, i, s) for i, s in zip(first, share, strict=True)])
     if branch.exact:
-        point = make_exact(branch.path, lane, depth, values, period=branch.period, hold=True)
+        point = _exactly(branch, values, first, share, depth)
         r, multipliers, good = point.reading, point.multipliers, point.valid
         residual = point.residual
     else:
