@@ -17,6 +17,8 @@ from vibrojax.drive import NoDrive as NoDrive
 from vibrojax.drive import PointForce as PointForce
 from vibrojax.modes import Modes as Modes
 from vibrojax.modes import modes as modes
+from vibrojax.response.folds import Fold as Fold
+from vibrojax.response.folds import fold_response as fold_response
 from vibrojax.response.methods import HarmonicBalance as HarmonicBalance
 from vibrojax.response.methods import Shooting as Shooting
 from vibrojax.response.periodic_response import periodic_response as periodic_response
@@ -25,9 +27,13 @@ from vibrojax.response.simulate import simulate as simulate
 from vibrojax.results.branch import Branch as Branch
 from vibrojax.results.branch import Branches as Branches
 from vibrojax.results.branch import SpecialPoint as SpecialPoint
+from vibrojax.results.coexisting import Coexisting as Coexisting
+from vibrojax.results.fold_curves import FoldCurve as FoldCurve
+from vibrojax.results.fold_curves import FoldCurves as FoldCurves
 from vibrojax.results.frequency_response import FrequencyResponse as FrequencyResponse
 from vibrojax.results.history import History as History
 from vibrojax.results.periodic_response import PeriodicResponse as PeriodicResponse
+from vibrojax.results.resolution import ResolutionCheck as ResolutionCheck
 from vibrojax.results.single_contact_response import (
     SingleContactResponse as SingleContactResponse,
 )
@@ -37,8 +43,11 @@ from vibrojax.rigs import default_rig as default_rig
 from vibrojax.stepping.method import AbstractMethod as AbstractMethod
 from vibrojax.stepping.method import ExactContact as ExactContact
 from vibrojax.stepping.method import ExponentialSplitting as ExponentialSplitting
+from vibrojax.studies.coexisting import coexisting_responses as coexisting_responses
 from vibrojax.studies.continue_response import continue_response as continue_response
+from vibrojax.studies.fold_curves import fold_curves as fold_curves
 from vibrojax.studies.frequency_sweep import frequency_sweep as frequency_sweep
+from vibrojax.studies.resolution import check_resolution as check_resolution
 from vibrojax.studies.single_contact import single_contact_response as single_contact_response
 from vibrojax.systems.base import AbstractEquations as AbstractEquations
 from vibrojax.systems.base import AbstractSystem as AbstractSystem

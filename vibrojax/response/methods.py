@@ -5,7 +5,7 @@ from typing import Any
 import diffrax
 import equinox as eqx
 
-from vibrojax._checks import check_count, check_range
+from vibrojax._checks import check_count
 
 SAMPLES = ((1e-3, 128), (1e-4, 256), (1e-5, 512), (1e-6, 1024))
 """Tolerance reached by harmonic balance, by samples per drive period."""
@@ -81,5 +81,5 @@ class Shooting(eqx.Module):
         """Refuse settings that cannot work."""
         if self.solver is not None and not isinstance(self.solver, diffrax.AbstractSolver):
             raise ValueError(f"solver must be a diffrax solver, got {self.solver!r}.")
-        check_range("steps_per_period", self.steps_per_period, 16, allowed="at least 16")
+        check_count("steps_per_period", self.steps_per_period, least=16)
         check_count("max_steps", self.max_steps)

@@ -20,6 +20,7 @@ from vibrojax.results.plotting import (
 )
 
 if TYPE_CHECKING:
+    from vibrojax.results.fold_curves import FoldCurves
     from vibrojax.results.frequency_response import FrequencyResponse
 
 MARKS = {
@@ -143,3 +144,18 @@ def _lay_sweep(
         axes.plot(x, y, markersize=5, alpha=0.9, zorder=2, **style)
         lines.append(Line2D([], [], markersize=6, **style))
         labels.append(f"{direction} sweep")
+
+
+def plot_fold_curves(curves: "FoldCurves") -> Figure:
+    """Draw the frequencies of folds against a second number."""
+    if not curves.curves:
+        raise ValueError("There are no folds to draw.")
+    figure, axes = new_picture()
+    shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.75, len(curves.curves)))
+    for k, (curve, shade) in enumerate(zip(curves.curves, shades, strict=True)):
+        axes.plot(curve.folds, curve.values, color=shade, linewidth=2.0, label=f"fold {k + 1}")
+    axes.set_xlabel(_axis_label(curves.axis), fontsize=LABEL)
+    axes.set_ylabel(_axis_label(curves.parameter), fontsize=LABEL)
+    lines, labels = axes.get_legend_handles_labels()
+    outside_legend(axes, lines, labels)
+    return figure

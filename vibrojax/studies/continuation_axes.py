@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vibrojax._checks import check_positive, nearest
-from vibrojax.systems.base import AbstractSystem, LinearEquations, equations_of
+from vibrojax.studies.frequency_sweep import check_drive
+from vibrojax.systems.base import AbstractSystem, LinearEquations, as_arrays, equations_of
 
 
 class Along(NamedTuple):
@@ -122,7 +123,7 @@ def along_of(
         for end in (high, low):  # both ends are built from concrete numbers, so checked
             for row in labels:
                 sample = _make(system, static | fixed | row | {followed: end})
-    _check_system(sample)
+    check_system(sample)
     return Along(
         make=system,
         name=followed,
@@ -168,10 +169,8 @@ def _make(system: Any, numbers: dict[str, Any]) -> AbstractSystem:
     return made
 
 
-def _check_system(system: AbstractSystem) -> None:
-    from vibrojax.studies.frequency_sweep import check_drive
-    from vibrojax.systems.base import as_arrays
-
+def check_system(system: AbstractSystem) -> None:
+    """Refuse, with a `ValueError`, a system without drive, stops, or linear equations."""
     check_drive(system)
     equations = equations_of(as_arrays(system))
     if not isinstance(equations, LinearEquations):

@@ -100,7 +100,8 @@ def _samples(method: HarmonicBalance, tolerance: float, exact: bool) -> int:
 
 
 @eqx.filter_jit
-def _frequency_paths(systems: AbstractSystem, is_ratio: bool, exact: bool):
+def frequency_paths(systems: AbstractSystem, is_ratio: bool, exact: bool) -> AbstractPath:
+    """Make the paths along the frequency of stacked systems."""
     return jax.vmap(lambda s: frequency_path(s, is_ratio, exact))(systems)
 
 
@@ -484,7 +485,7 @@ def paths_of(along: Along, exact: bool) -> AbstractPath:
         systems = lanes.systems
         if not lanes.batched:
             systems = jax.tree.map(lambda a: jnp.asarray(a)[None], systems)
-        return _frequency_paths(systems, along.name == "frequency_ratio", exact)
+        return frequency_paths(systems, along.name == "frequency_ratio", exact)
     rows = {n: jnp.asarray([labels[n] for labels in along.labels]) for n in along.axes}
     fixed = {n: jnp.full(along.count, v, float) for n, v in along.fixed.items()}
     return ParameterPath(

@@ -1,0 +1,182 @@
+"""Folds followed in a second number: the hysteresis region of a map as lines."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from vibrojax._checks import check_count
+from vibrojax.response.folds import Fold, fold_response
+from vibrojax.results.branch import Branch
+from vibrojax.results.fold_curves import FoldCurve, FoldCurves
+from vibrojax.studies.continuation_axes import along_of
+from vibrojax.studies.continue_response import continue_response
+from vibrojax.systems.base import AbstractSystem
+
+FIRST, LONGEST, SHORTEST, BRIDGE = 1e-3, 0.05, 1e-5, 0.02
+"""Steps in the second number, over its range; the last where a new branch is traced."""
+NEAR = 0.02
+"""Farthest that a fold may lie from its prediction, relative."""
+
+
+def fold_curves(
+    system: Callable[..., AbstractSystem],
+    *,
+    frequency_ratio: tuple[float, float] | None = None,
+    frequency: tuple[float, float] | None = None,
+    start: float | None = None,
+    max_points: int = 400,
+    **numbers: Any,
+) -> FoldCurves:
+    """Follow the folds of the response, the jump frequencies, in a second number.
+
+    The branch is traced once, at `start`; each of its folds is then followed both ways by solving
+    for it anew (`fold_response`) from a prediction along its curve.
+
+    Parameters:
+        system: a function from named numbers to a system with linear stops.
+        frequency_ratio, frequency: the range of the drive frequency (ratio or Hz) in which the
+            first branch is traced.
+        start: value of the second number at which it is traced; the middle of its range by default.
+        max_points: most points of a curve.
+        numbers: arguments of the function: one tuple (low, high), the range of the second number;
+            the rest are fixed.
+
+    Where the contacts of the fold change, or it becomes a corner at a touch, the branch is traced
+    anew a little further on and the fold taken from there.
+
+    Raises `ValueError` as `continue_response` does, for lists among the numbers, a start outside
+    the range, or stops that are not linear.
+    """
+    check_count("max_points", max_points, least=3)
+    if isinstance(system, AbstractSystem) or not callable(system):
+        raise ValueError(
+            "fold_curves needs a function that makes the system from named numbers, got "
+            f"{type(system).__name__}."
+        )
+    axis = "frequency_ratio" if frequency_ratio is not None else "frequency"
+    swept = frequency_ratio if frequency_ratio is not None else frequency
+    if not isinstance(swept, tuple):
+        raise ValueError(f"{axis} must be a range (low, high), got {swept!r}.")
+    along = along_of(system, *_one(axis, float(np.mean(swept))), numbers)
+    if along.axes:
+        raise ValueError(
+            f"{next(iter(along.axes))} is a list: fold_curves follows one number, the others are "
+            "fixed."
+        )
+    begin = (along.low + along.high) / 2 if start is None else float(start)
+    if not along.low <= begin <= along.high:
+        raise ValueError(
+            f"start must be from {along.low:g} to {along.high:g}, the range of {along.name}, got "
+            f"{begin:g}."
+        )
+    fixed = along.static | along.fixed
+
+    def make(value: float) -> AbstractSystem:
+        return system(**fixed, **{along.name: value})
+
+    branch = continue_response(make(begin), **{axis: swept})
+    assert isinstance(branch, Branch)
+    tracer = _Tracer(make, axis, swept, along.low, along.high, max_points)
+    curves = []
+    for point in branch.special_points:
+        if point.kind != "fold" or point.initial_state is None:
+            continue
+        first = fold_response(make(begin), point, axis=axis)
+        if bool(first.found):
+            curves.append(tracer.both_ways(begin, first))
+    return FoldCurves(along.name, axis, tuple(curves), branch)
+
+
+def _one(axis: str, value: float) -> tuple[float | None, float | None]:
+    return (value, None) if axis == "frequency_ratio" else (None, value)
+
+
+class _Tracer:
+    """Follows one fold at a time; knows how to make the system and to trace a branch of it."""
+
+    def __init__(self, make, axis, swept, low, high, max_points):
+        self.make, self.axis, self.swept = make, axis, swept
+        self.low, self.high, self.max_points = low, high, max_points
+
+    def both_ways(self, begin: float, first: Fold) -> FoldCurve:
+        down, why_down = self.follow(begin, first, -1)
+        up, why_up = self.follow(begin, first, 1)
+        points = [*down[::-1], (begin, first), *up]
+        return FoldCurve(
+            values=np.array([v for v, _ in points]),
+            folds=np.array([float(f.parameter) for _, f in points]),
+            amplitude_ratio=np.array([float(f.amplitude_ratio) for _, f in points]),
+            contact_force=np.array([float(f.contact_force) for _, f in points]),
+            endings=(why_down, why_up),
+        )
+
+    def follow(self, begin: float, first: Fold, way: int):
+        """Follow one fold from its start to an end of the range; points, and how it ended."""
+        width = self.high - self.low
+        end = self.high if way > 0 else self.low
+        points: list[tuple[float, Fold]] = [(begin, first)]
+        smooth, step = [(begin, first)], FIRST
+        while len(points) <= self.max_points:
+            value = points[-1][0]
+            if value == end:
+                return points[1:], "end of the range"
+            following = value + way * step * width
+            if way * (following - end) > -1e-9 * width:
+                following = end
+            if smooth:
+                guess = _predicted(smooth, following)
+                found = fold_response(self.make(following), guess, axis=self.axis)
+                if bool(found.found) and self.close(found, guess):
+                    points.append((following, found))
+                    smooth = [*smooth[-2:], points[-1]]
+                    step = min(1.6 * step, LONGEST)
+                    continue
+                step *= 0.4
+                if step >= SHORTEST:
+                    continue
+            # Contacts change here, or the fold is a corner at a touch: look on a new branch.
+            following = value + way * BRIDGE * width
+            following = min(max(following, self.low), self.high)
+            guess = _predicted(points, following)
+            bridged = self.on_branch(following, guess)
+            if bridged is None:
+                return points[1:], "the fold ends here: beyond it no fold is near"
+            points.append((following, bridged))
+            smooth = [points[-1]] if bridged.initial_state is not None else []
+            step = FIRST
+        return points[1:], "the points allowed did not suffice"
+
+    def close(self, found: Fold, guess: Fold) -> bool:
+        return abs(float(found.parameter) - float(guess.parameter)) < NEAR * float(guess.parameter)
+
+    def on_branch(self, value: float, guess: Fold) -> Any:
+        """Find the fold nearest to the guess on the branch at this value."""
+        branch = continue_response(self.make(value), **{self.axis: self.swept})
+        assert isinstance(branch, Branch)
+        folds = [p for p in branch.special_points if p.kind == "fold"]
+        folds = [p for p in folds if self.close(p, guess)]
+        return min(folds, key=lambda p: abs(p.parameter - float(guess.parameter)), default=None)
+
+
+def _predicted(points: list[tuple[float, Fold]], value: float) -> Fold:
+    """Guess the next fold along the line, or the parabola, through the last ones."""
+    recent = points[-3:]
+    nodes = [v for v, _ in recent]
+    weights = [
+        float(np.prod([(value - b) / (a - b) for b in nodes if b != a])) for a in nodes
+    ]
+
+    def mixed(name: str) -> Any:
+        parts = zip(weights, recent, strict=True)
+        return sum(w * np.asarray(getattr(f, name)) for w, (_, f) in parts)
+
+    last = recent[-1][1]
+    corner = any(f.initial_state is None for _, f in recent)
+    return Fold(
+        parameter=mixed("parameter"),
+        amplitude_ratio=last.amplitude_ratio,
+        contact_force=last.contact_force,
+        initial_state=np.zeros(0) if corner else mixed("initial_state"),
+        found=np.asarray(True),
+    )
