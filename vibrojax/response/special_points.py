@@ -61,21 +61,28 @@ class _Bracket(NamedTuple):
     """Index of the middle point (fold) or of the first of the two."""
 
 
-def brackets_of(lane: int, parameter: np.ndarray, multipliers: np.ndarray | None) -> list[_Bracket]:
-    """Find between which points of a branch special ones lie."""
+def brackets_of(
+    lane: int, parameter: np.ndarray, multipliers: np.ndarray, sound: np.ndarray
+) -> list[_Bracket]:
+    """Find between which points of a branch special ones lie.
+
+    Only `sound` points count; a gap of more than two others between them is not bridged.
+    """
     found = []
-    step = np.diff(parameter)
+    at = np.flatnonzero(sound)
+    if len(at) < 3:
+        return found
+    step, near = np.diff(parameter[at]), np.diff(at) <= 3
     # A fold turns the parameter round; steps of round-off turn nothing.
     size = 1e-11 * np.max(np.abs(parameter), initial=0.0)
     moving = np.flatnonzero(np.abs(step) > size)
     for before, after in zip(moving[:-1], moving[1:], strict=True):
-        if step[before] * step[after] < 0:
-            found.append(_Bracket("fold", lane, int(after)))
-    if multipliers is not None:
-        for kind, test in (("period_doubling", doubling_test), ("neimark_sacker", torus_test)):
-            value = test(multipliers)
-            for i in np.flatnonzero(value[:-1] * value[1:] < 0):
-                found.append(_Bracket(kind, lane, int(i)))
+        if step[before] * step[after] < 0 and near[before : after + 1].all():
+            found.append(_Bracket("fold", lane, int(at[after])))
+    for kind, test in (("period_doubling", doubling_test), ("neimark_sacker", torus_test)):
+        value = test(multipliers[at])
+        for i in np.flatnonzero((value[:-1] * value[1:] < 0) & near):
+            found.append(_Bracket(kind, lane, int(at[i])))
     return found
 
 

@@ -90,9 +90,9 @@ class Branch(eqx.Module):
     ticks: int = eqx.field(static=True)
     """Cost: linearised balances solved."""
     exact: bool = eqx.field(static=True)
-    """Whether the points are exact solutions between contact times, or harmonic balance."""
-    dropped: int = eqx.field(static=True)
-    """Points of the balance for which no exact motion was found; left out."""
+    """Whether points are made exact solutions between contact times, or left to the balance."""
+    exact_points: Bool[np.ndarray, " points"]
+    """Which points are exact; the others are harmonic balance."""
     ratio_units: str = eqx.field(static=True)
     natural_frequency: float
     """First natural frequency of the unstopped system, Hz, where the branch starts."""
@@ -193,6 +193,11 @@ class Branch(eqx.Module):
         data: dict[str, Any] = {
             name: ("point", np.asarray(getattr(self, name)), described(name)) for name in CURVES
         }
+        data["exact_points"] = (
+            "point",
+            self.exact_points.astype(np.int8),
+            described("exact_points"),
+        )
         data["stable"] = ("point", self.stable.astype(np.int8), described("stable"))
         for part, values in (
             ("real", self.floquet_multipliers.real),

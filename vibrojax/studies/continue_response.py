@@ -333,10 +333,9 @@ class _Work:
                     special_points=specials(k),
                     period=self.period,
                     status=t.ending.name,
-                    sentence=t.ending.sentence + notes[k],
+                    sentence=t.ending.sentence + notes[k] + self._inexact(data["exact_points"]),
                     ticks=t.ticks,
                     exact=self.exact,
-                    dropped=int(counts[k] - len(at)),
                     ratio_units=self.along.sample.drive.reference[1],
                     natural_frequency=float(natural[at[0]] / 2 / np.pi) if len(at) else np.nan,
                     labels=self.along.labels[lanes[k]],
@@ -360,22 +359,38 @@ class _Work:
                     "parameter": point.parameter,
                     "multipliers": point.multipliers,
                     "residual": point.residual,
-                    "keep": point.valid,
+                    "exact_points": point.valid,
                 }
+                columns = {n: np.array(columns[n]) for n in _COLUMNS}
+                columns["contacts"] = columns["contacts"].astype(float)
+                failed = np.flatnonzero(~point.valid)
             else:
-                r = read_all(paths, lane[index], depth, parameter[index], period=self.period)
-                columns = r._asdict() | {
-                    "parameter": parameter[index],
-                    "keep": np.isfinite(r.highest),
-                }
-            results.append((index, {n: columns[n] for n in _COLUMNS}))
+                columns = {n: None for n in _COLUMNS}
+                failed = np.arange(len(index))
+            if len(failed):
+                balanced = self._balanced(paths, lane[index], depth, parameter[index], failed)
+                for n, values in balanced.items():
+                    if columns[n] is None:
+                        columns[n] = values
+                    else:
+                        columns[n][failed] = values
+            results.append((index, columns))
         whole = {
             name: np.concatenate([c[name] for _, c in results])[
                 np.argsort(np.concatenate([i for i, _ in results]))
             ]
             for name in _COLUMNS
         }
-        return whole, whole.pop("keep")
+        return whole, np.isfinite(whole["highest"])
+
+    def _balanced(self, paths, lane, depth, parameter, at) -> dict[str, np.ndarray]:
+        """Read points off the balance, where that is all there is."""
+        r = read_all(paths, lane[at], depth[at], parameter[at], period=self.period)
+        columns = r._asdict() | {
+            "parameter": parameter[at],
+            "exact_points": np.zeros(len(at), bool),
+        }
+        return {n: np.array(columns[n]) for n in _COLUMNS}
 
     def _special(self, paths, pieces, chosen, depth):
         """Refine the special points of all branches; return a look-up by branch."""
@@ -383,7 +398,8 @@ class _Work:
         brackets = []
         for k, at in enumerate(chosen):
             if len(at) >= 3:
-                brackets += brackets_of(k, values[at], multipliers[at])
+                sound = pieces["exact_points"][at] if self.exact else np.ones(len(at), bool)
+                brackets += brackets_of(k, values[at], multipliers[at], sound)
         branches = [(values[at], depth[k]) for k, at in enumerate(chosen)]
         found = None
         if self.exact and brackets:
@@ -408,6 +424,14 @@ class _Work:
             return tuple(sorted(_snapped(points, values[at]), key=lambda p: p.after))
 
         return specials
+
+    def _inexact(self, exact_points: np.ndarray) -> str:
+        count = int(np.sum(~exact_points))
+        if not (self.exact and count):
+            return ""
+        return (
+            f" {count} of its points are harmonic balance only: no exact motion was found for them."
+        )
 
     def _described(self, paths, lane, kind, after, parameter, motion) -> SpecialPoint:
         reading = motion.reading
@@ -439,7 +463,6 @@ class _Work:
             sentence="No periodic motion was found to start from." + note,
             ticks=traced.ticks,
             exact=self.exact,
-            dropped=0,
             ratio_units=self.along.sample.drive.reference[1],
             natural_frequency=np.nan,
             labels=self.along.labels[lane],
@@ -447,7 +470,10 @@ class _Work:
             attributes=self.attributes(),
             path=take(self.paths, np.array([lane])),
             depth=np.asarray(traced.depth),
-            **({name: none for name in _FIELDS} | {"initial_state": np.zeros((0, states))}),
+            **(
+                {name: none for name in _FIELDS}
+                | {"initial_state": np.zeros((0, states)), "exact_points": np.zeros(0, bool)}
+            ),
         )
 
 
@@ -463,7 +489,7 @@ _COLUMNS = (
     "multipliers",
     "residual",
     "parameter",
-    "keep",
+    "exact_points",
 )
 _FIELDS = (
     "arclength",
@@ -475,6 +501,7 @@ _FIELDS = (
     "contact_fraction",
     "residual",
     "initial_state",
+    "exact_points",
 )
 
 
