@@ -107,3 +107,9 @@ def oscillator():
 def problem():
     """Translator of a rig for the oracle."""
     return make_problem
+
+
+@pytest.fixture(scope="session")
+def rig_branch():
+    """Branch of the default rig through both of its folds."""
+    return vj.continue_response(make_rig(), frequency_ratio=(0.85, 1.31))
