@@ -60,8 +60,16 @@ def measure(count: int, seed: int = 1, show: bool = True) -> list[dict]:
         }
         rows.append(row)
         if show:
-            print(k, f"p0 {row['p0']:8.2f}", row["status"], branch.sentence[:90], row["points"],
-                  row["balance_only"], f"{seconds:.2f} s", flush=True)
+            print(
+                k,
+                f"p0 {row['p0']:8.2f}",
+                row["status"],
+                branch.sentence[:90],
+                row["points"],
+                row["balance_only"],
+                f"{seconds:.2f} s",
+                flush=True,
+            )
     return rows
 
 

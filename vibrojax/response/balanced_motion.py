@@ -86,9 +86,7 @@ def read_balanced(
         contact_force=jnp.max(jnp.stack(forces)),
         contact_fraction=jnp.mean(jnp.any(touching, axis=0)),
         contacts=jnp.sum(entered) + zero,
-        initial_state=state_of(
-            equations, drive, w, at.force, zero, samples=samples, period=period
-        ),
+        initial_state=state_of(equations, drive, w, at.force, zero, samples=samples, period=period),
         multipliers=jnp.linalg.eigvals(
             jax.lax.stop_gradient(_monodromy(place, at, 1 / per_second))
         ),
@@ -105,9 +103,7 @@ def _monodromy(place: Place, at, interval):
     if equations.damping_coupling is not None:
         damping = damping + equations.damping_coupling
     unit = w[0]
-    flight = jnp.block(
-        [[jnp.zeros((n, n)), unit * jnp.eye(n)], [-jnp.diag(w**2) / unit, -damping]]
-    )
+    flight = jnp.block([[jnp.zeros((n, n)), unit * jnp.eye(n)], [-jnp.diag(w**2) / unit, -damping]])
     flight = jax.scipy.linalg.expm(flight * interval)
     # The slope in the change of depth per sample is one in the rate, over the interval.
     stiffness, rate = at.stiffness * interval / unit, at.damping * interval * interval
@@ -142,7 +138,9 @@ def read_all(
     """Read many motions, in batches."""
     paths = jax.device_get(paths)
     return in_batches(
-        lambda i: _read(localise(paths, lane[i], parameter[i], False), depth[i], parameter[i], period),
+        lambda i: _read(
+            localise(paths, lane[i], parameter[i], False), depth[i], parameter[i], period
+        ),
         len(lane),
     )
 
@@ -223,6 +221,8 @@ def solve_all(
     paths = jax.device_get(paths)
 
     def solve(i):
-        return _solve_here(localise(paths, lane[i], parameter[i], False), depth[i], parameter[i], period)
+        return _solve_here(
+            localise(paths, lane[i], parameter[i], False), depth[i], parameter[i], period
+        )
 
     return in_batches(solve, len(lane))

@@ -220,8 +220,8 @@ def solve_condensed(
     both = jnp.fft.irfft(jnp.stack([kernel, differentiate(kernel, samples)]), samples)
     active = ((at.stiffness != 0) | (at.damping != 0)).reshape(-1)
     place = jnp.where(active, jnp.cumsum(active) - 1, capacity)
-    index = jnp.full(capacity, stops * samples).at[place].set(
-        jnp.arange(stops * samples), mode="drop"
+    index = (
+        jnp.full(capacity, stops * samples).at[place].set(jnp.arange(stops * samples), mode="drop")
     )
     stiffness = jnp.append(at.stiffness.reshape(-1), 0.0)[index]
     damping = jnp.append(at.damping.reshape(-1), 0.0)[index]

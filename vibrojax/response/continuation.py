@@ -232,7 +232,9 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
 
     length = jnp.sqrt(dot(direction, direction) / size**2 + 1 / scale**2)
     unit, unit_parameter = direction / length[:, None, None], 1 / length
-    cosine = dot(trace.tangent, unit) / size**2 + trace.tangent_parameter * unit_parameter / scale**2
+    cosine = (
+        dot(trace.tangent, unit) / size**2 + trace.tangent_parameter * unit_parameter / scale**2
+    )
     sign = jnp.where(trace.started, jnp.where(cosine < 0, -1.0, 1.0), settings.direction)
     straight = ~trace.started | (jnp.abs(cosine) > STRAIGHT)
     gone = jnp.sqrt(
@@ -265,9 +267,7 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
     last_parameter = jnp.where(accepted, parameter, trace.last_parameter)
     tangent = jnp.where(accepted[:, None, None], sign[:, None, None] * unit, trace.tangent)
     tangent_parameter = jnp.where(accepted, sign * unit_parameter, trace.tangent_parameter)
-    last = jnp.where(
-        trace.goal == settings.start, Ending.turned_back.value, Ending.completed.value
-    )
+    last = jnp.where(trace.goal == settings.start, Ending.turned_back.value, Ending.completed.value)
     status = jnp.where(accepted & trace.pinned & trace.started, last, trace.status)
     status = jnp.where(retry & (step < SHORTEST_STEP), Ending.stuck.value, status)
     status = jnp.where(failed & ~trace.started, Ending.stuck.value, status)
@@ -276,9 +276,7 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
     first_depth = jnp.where(is_first[:, None, None], depth, trace.first_depth)
     first_parameter = jnp.where(is_first, parameter, trace.first_parameter)
     home = depth - first_depth
-    distance = jnp.sqrt(
-        dot(home, home) / size**2 + ((parameter - first_parameter) / scale) ** 2
-    )
+    distance = jnp.sqrt(dot(home, home) / size**2 + ((parameter - first_parameter) / scale) ** 2)
     closed = accepted & (points > LOOP_POINTS) & (distance < 0.75 * gone)
     status = jnp.where(closed, Ending.closed.value, status)
     started = trace.started | accepted
@@ -294,7 +292,9 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
     predicted = last_depth + stride[:, None, None] * tangent
     pinned = jnp.where(fresh, beyond, trace.pinned & ~accepted) | overshot
     predicted_parameter = jnp.where(beyond, goal, ahead)
-    goal = jnp.where(overshot, jnp.where(parameter > settings.high, settings.high, settings.low), goal)
+    goal = jnp.where(
+        overshot, jnp.where(parameter > settings.high, settings.high, settings.low), goal
+    )
     passed = parameter - trace.last_parameter
     share = (goal - trace.last_parameter) / jnp.where(overshot, passed, 1.0)
     inner = trace.last_depth + share[:, None, None] * (depth - trace.last_depth)
@@ -305,7 +305,9 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
         depth=jnp.where(
             fresh[:, None, None], predicted, jnp.where(running[:, None, None], depth, trace.depth)
         ),
-        parameter=jnp.where(fresh, predicted_parameter, jnp.where(running, parameter, trace.parameter)),
+        parameter=jnp.where(
+            fresh, predicted_parameter, jnp.where(running, parameter, trace.parameter)
+        ),
         last_depth=last_depth,
         last_parameter=last_parameter,
         tangent=tangent,

@@ -104,9 +104,7 @@ def read_course(tables: Tables, events: Events, course: Course, period: int) -> 
     # With them the moments of touch, where the force of a stop with damping is largest.
     places = course.start.size
     fine_segment = jnp.concatenate([_segment_of(course, near.reshape(-1)), jnp.arange(places)])
-    fine = look(
-        tables, course, fine_segment, jnp.concatenate([near.reshape(-1), course.start])
-    )
+    fine = look(tables, course, fine_segment, jnp.concatenate([near.reshape(-1), course.start]))
     fine, at_start = fine[:, :-places], fine[:, -places:]
     fine_segment = fine_segment[:-places]
     held_there = held[fine_segment].T
@@ -170,7 +168,9 @@ def state_in(tables: Tables, course: Course, segment, angle):
     growth, turn = jnp.exp(phases.exponent[phase] * time), phases.rate[phase] * time
     c, s = cosine(turn), cosine(turn - np.pi / 2)
     top, bottom = course.blocks[:n, segment], course.blocks[n:, segment]
-    moved = jnp.concatenate([growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)])
+    moved = jnp.concatenate(
+        [growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)]
+    )
     steady = tables.steady[phase]
     forced = jnp.sin(angle) * steady.real + jnp.cos(angle) * steady.imag
     return phases.to_state[phase] @ (moved + forced + phases.rest[phase])

@@ -50,6 +50,7 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
         return Place(equations, system.drive, value * unit)
 
     n = eqx.filter_eval_shape(system.equations).size
+
     # States are in units of the first one's size, q' over the drive frequency: comparable.
     def passed(numbers, x, periods, keep):
         place = place_of(*numbers)
@@ -81,7 +82,9 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
         )
     else:
         start = frozen(state)
-    rate = still[1] * (2 * jnp.pi if not is_ratio else place_of(*still).equations.angular_frequency[0])
+    rate = still[1] * (
+        2 * jnp.pi if not is_ratio else place_of(*still).equations.angular_frequency[0]
+    )
     size = jnp.max(jnp.abs(start[:n]) + jnp.abs(start[n:]) / rate)
     size = jnp.where(size > 0, size, 1.0)
     unit = size * jnp.concatenate([jnp.ones(n), jnp.full(n, rate)])

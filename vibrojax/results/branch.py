@@ -259,7 +259,9 @@ class Branch(eqx.Module):
                 f"  peak amplitude ratio  {self.amplitude_ratio[peak]:.4f} at "
                 f"{self.values[peak]:.6f}"
             )
-            lines.append(f"  stable                {self.stable.sum()} of {len(self.values)} points")
+            lines.append(
+                f"  stable                {self.stable.sum()} of {len(self.values)} points"
+            )
         lines += [f"  {point!r}" for point in self.special_points[:8]]
         if len(self.special_points) > 8:
             lines.append(f"  and {len(self.special_points) - 8} special points more")
@@ -342,9 +344,7 @@ class Branches(eqx.Module):
         axis = self.branches[0].axis
         parts = [p.reset_coords([axis, "arclength"]) for p in parts]
         # Numbered points, so that shorter branches are filled up with NaN.
-        parts = [
-            p.assign_coords({d: np.arange(p.sizes[d]) for d in p.dims}) for p in parts
-        ]
+        parts = [p.assign_coords({d: np.arange(p.sizes[d]) for d in p.dims}) for p in parts]
         stacked = xarray.concat(parts, "lane", join="outer", combine_attrs="drop_conflicts")
         for name in ("status", "sentence"):
             stacked[name] = ("lane", [str(getattr(b, name)) for b in self.branches])
@@ -352,8 +352,10 @@ class Branches(eqx.Module):
         names = list(self.axes)
         grid = np.array([[b.labels[n] for n in names] for b in self.branches])
         stacked = stacked.assign_coords({n: ("lane", grid[:, k]) for k, n in enumerate(names)})
-        return stacked.set_index(lane=names).unstack("lane") if len(names) > 1 else (
-            stacked.swap_dims(lane=names[0])
+        return (
+            stacked.set_index(lane=names).unstack("lane")
+            if len(names) > 1
+            else (stacked.swap_dims(lane=names[0]))
         )
 
     def plot(self, variable: str = "amplitude_ratio") -> "Figure":

@@ -145,7 +145,9 @@ def _is_text(value: Any) -> bool:
 
 
 def _is_real(value: Any) -> bool:
-    return isinstance(value, float | np.floating) or (np.ndim(value) == 0 and hasattr(value, "dtype"))
+    return isinstance(value, float | np.floating) or (
+        np.ndim(value) == 0 and hasattr(value, "dtype")
+    )
 
 
 def _check_names(system: Any, numbers: dict[str, Any]) -> None:

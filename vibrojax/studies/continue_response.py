@@ -286,8 +286,7 @@ class _Work:
             joined, note = up, ""
         else:
             parts = [
-                np.concatenate([a[::-1], b[1:]])
-                for a, b in zip(down[:2], up[:2], strict=True)
+                np.concatenate([a[::-1], b[1:]]) for a, b in zip(down[:2], up[:2], strict=True)
             ]
             direction = np.concatenate([-down.direction[::-1], up.direction[1:]])
             both_done = up.ending is down.ending is Ending.completed
@@ -316,9 +315,7 @@ class _Work:
             "arclength": length,
         }
         chosen = [np.flatnonzero((lane == k) & keep) for k in range(len(traced))]
-        depth = [
-            t.depth[keep[lane == k]] for k, t in enumerate(traced)
-        ]
+        depth = [t.depth[keep[lane == k]] for k, t in enumerate(traced)]
         specials = self._special(paths, pieces, chosen, depth)
         branches = []
         for k, t in enumerate(traced):
@@ -414,8 +411,14 @@ class _Work:
                     for after, parameter, motion in of(kind, k):
                         points.append(self._described(paths, k, kind, after, parameter, motion))
             else:
-                points += _unrefined(brackets, k, values[at], pieces["amplitude_ratio"][at],
-                                     pieces["contact_force"][at], pieces["initial_state"][at])
+                points += _unrefined(
+                    brackets,
+                    k,
+                    values[at],
+                    pieces["amplitude_ratio"][at],
+                    pieces["contact_force"][at],
+                    pieces["initial_state"][at],
+                )
             if self.period == 1 and len(at):
                 touching = pieces["contact_fraction"][at] > 0
                 for after, parameter in first_touches(paths, k, values[at], touching):
@@ -566,7 +569,9 @@ def _until_joined(traced: list[Traced], tangent: np.ndarray) -> list[Traced]:
     if not len(back):
         return traced
     end = int(back[0])
-    return [Traced(one.parameter[:end], one.depth[:end], one.direction[:end], Ending.joined, one.ticks)]
+    return [
+        Traced(one.parameter[:end], one.depth[:end], one.direction[:end], Ending.joined, one.ticks)
+    ]
 
 
 def start_of(start: Any, name: str) -> tuple[np.ndarray, float]:
@@ -642,8 +647,12 @@ def _unrefined(brackets, lane, values, amplitude, force, state) -> list[SpecialP
             parameter = (values[b.at] + values[b.at + 1]) / 2
         points.append(
             SpecialPoint(
-                b.kind, float(parameter), float(amplitude[b.at]), float(force[b.at]),
-                state[b.at], b.at,
+                b.kind,
+                float(parameter),
+                float(amplitude[b.at]),
+                float(force[b.at]),
+                state[b.at],
+                b.at,
             )
         )
     return points

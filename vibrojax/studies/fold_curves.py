@@ -163,9 +163,7 @@ def _predicted(points: list[tuple[float, Fold]], value: float) -> Fold:
     """Guess the next fold along the line, or the parabola, through the last ones."""
     recent = points[-3:]
     nodes = [v for v, _ in recent]
-    weights = [
-        float(np.prod([(value - b) / (a - b) for b in nodes if b != a])) for a in nodes
-    ]
+    weights = [float(np.prod([(value - b) / (a - b) for b in nodes if b != a])) for a in nodes]
 
     def mixed(name: str) -> Any:
         parts = zip(weights, recent, strict=True)

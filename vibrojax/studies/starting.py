@@ -81,9 +81,7 @@ def settled_guess(
     else:
         states = np.broadcast_to(state, (len(values), state.size))
         found = np.ones(len(values), bool)
-    depth = np.asarray(
-        sampled_depth(paths, values, jnp.asarray(states), samples, period, exact)
-    )
+    depth = np.asarray(sampled_depth(paths, values, jnp.asarray(states), samples, period, exact))
     return depth, found & np.isfinite(depth).all(axis=(1, 2))
 
 
