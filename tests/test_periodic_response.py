@@ -186,6 +186,7 @@ def expected_of(case):
     return value, slopes
 
 
+@pytest.mark.slow  # to compile
 @pytest.mark.parametrize("case", GRADIENTS[:1], ids=["printed"])
 def test_reverse_gradients_in_a_batch(case):
     """`vmap` of the gradient, the first lane being the reference."""
