@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from vibrojax._types import AnyArray
 from vibrojax.response.condensed import balance, condensed_problem, solve_condensed
 from vibrojax.response.paths import AbstractPath
 
@@ -104,10 +105,10 @@ class Point(NamedTuple):
 
 
 def begin(
-    depth: Complex[Array, "lanes stops harmonics"],
-    parameter: Float[Array, " lanes"],
-    tangent: Complex[Array, "lanes stops harmonics"] | None = None,
-    direction: Float[Array, " lanes"] | None = None,
+    depth: Complex[AnyArray, "lanes stops harmonics"],
+    parameter: Float[AnyArray, " lanes"],
+    tangent: Complex[AnyArray, "lanes stops harmonics"] | None = None,
+    direction: Float[AnyArray, " lanes"] | None = None,
 ) -> Trace:
     """Start every lane from a first guess of its motion at the start of the range.
 
@@ -140,6 +141,7 @@ def begin(
     )
     if tangent is None or direction is None:
         return trace
+    tangent = jnp.asarray(tangent, complex)
     size = jnp.sqrt(dot(depth, depth) / dot(tangent, tangent))
     unit = tangent * size[:, None, None]
     return trace._replace(

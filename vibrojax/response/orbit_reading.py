@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from vibrojax.response.contact_times import Course, Events, Orbit, Tables
+from vibrojax.response.contact_times import Course, Events, Tables
 from vibrojax.stepping.elementary import cosine, cubic_maximum
 
 lax = jax.lax

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from vibrojax._types import AnyArray
 from vibrojax.drive import AbstractDrive
 from vibrojax.response.contact_times import Tables, tables_of
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
@@ -21,7 +22,7 @@ class Place(eqx.Module):
 
     equations: LinearEquations
     drive: AbstractDrive
-    angular_frequency: Float[Array, ""]
+    angular_frequency: Float[Array, "..."]
 
 
 class AbstractPath(eqx.Module):
@@ -32,7 +33,7 @@ class AbstractPath(eqx.Module):
         """Return equations, drive and drive frequency."""
 
 
-class LocalPath(eqx.Module):
+class LocalPath(AbstractPath):
     """A path near one value of its parameter, to first order: cheap to compile and to evaluate.
 
     Along a frequency that is the path itself.
@@ -104,7 +105,7 @@ class ParameterPath(AbstractPath):
 
 
 def localise(
-    paths: AbstractPath, lane: np.ndarray, parameter: Float[np.ndarray, " points"], exact: bool
+    paths: AbstractPath, lane: np.ndarray, parameter: Float[AnyArray, " points"], exact: bool
 ) -> LocalPath:
     """Return the paths of some lanes near some values, stacked along the points."""
     if isinstance(paths, FrequencyPath):
@@ -112,10 +113,10 @@ def localise(
             jax.tree.map(lambda a: np.asarray(a)[lane] if eqx.is_array(a) else a, part)
             for part in (paths.equations, paths.drive, paths.unit, paths.phases)
         )
-        place = Place(equations, drive, parameter * unit)
+        place = Place(equations, drive, jnp.asarray(parameter * unit))
         still = jax.tree.map(np.zeros_like, place)
         slope = eqx.tree_at(lambda p: p.angular_frequency, still, np.asarray(unit))
-        return LocalPath(np.asarray(parameter), place, slope, phases, None)
+        return LocalPath(jnp.asarray(parameter), place, slope, phases, None)
     here = jax.tree.map(lambda a: np.asarray(a)[lane] if eqx.is_array(a) else a, paths)
     return _localise(here, parameter, exact)
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from vibrojax._types import AnyArray
 from vibrojax.response.condensed import (
     balance,
     cell_average,
@@ -199,8 +200,8 @@ def _states_at(paths, parameter, course, section, begin, period):
 def make_exact(
     paths: AbstractPath,
     lane: np.ndarray,
-    depth: Complex[np.ndarray, "points stops harmonics"],
-    parameter: Float[np.ndarray, " points"],
+    depth: Complex[AnyArray, "points stops harmonics"],
+    parameter: Float[AnyArray, " points"],
     *,
     period: int = 1,
     hold: bool = False,
@@ -232,7 +233,7 @@ def exact_from(
     paths: AbstractPath,
     lane: np.ndarray,
     guesses: Guess,
-    parameter: Float[np.ndarray, " points"],
+    parameter: Float[AnyArray, " points"],
     *,
     period: int = 1,
     hold: bool = False,

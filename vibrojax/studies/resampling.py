@@ -111,9 +111,9 @@ def _exactly(branch: Branch, values, first, share, depth):
     x, i = branch.values, first[left]
     low, high = np.zeros(len(left)), np.ones(len(left))
     below, above = x[i] - values[left], x[i + 1] - values[left]
-    for _ in range(CREEPS):
+    for turn in range(CREEPS):
         middle = np.clip(low - below * (high - low) / (above - below), low, high)
-        middle = np.where(_ % 3 == 2, (low + high) / 2, middle)
+        middle = np.where(turn % 3 == 2, (low + high) / 2, middle)
         way = middle[:, None, None]
         between = (1 - way) * branch.depth[i] + way * branch.depth[i + 1]
         guess = (1 - middle) * x[i] + middle * x[i + 1]
@@ -136,7 +136,7 @@ def _exactly(branch: Branch, values, first, share, depth):
 def _solve(branch: Branch, values, first, share) -> dict[str, np.ndarray]:
     """Solve at the values held fixed; NaN where no motion is found near the branch."""
     lane = np.zeros(len(values), int)
-    depth = np.array([_interpolated(branch, i, s) for i, s in zip(first, share, strict=True)])
+    depth = np.array([_interpolated(branch, int(i), float(s)) for i, s in zip(first, share, strict=True)])
     if branch.exact:
         point = _exactly(branch, values, first, share, depth)
         r, multipliers, good = point.reading, point.multipliers, point.valid
