@@ -140,9 +140,10 @@ def cell_force(
     scale = jnp.sqrt(change**2 + jnp.asarray(stop.width, float) ** 2 + 1e-300)
     if stop.is_linear and stop.law.can_pull and law is not None:
         stiffness, damping = law
-        x = depth / scale
+        # Deep in the stop the mean is the force itself, which the polynomial would lose digits of.
+        x = jnp.clip(depth / scale, -1.0, 1.0)
         above, here, below = (jnp.maximum(x + shift, 0.0) for shift in (1.0, 0.0, -1.0))
-        ramp = scale * (above**3 - 2 * here**3 + below**3) / 6
+        ramp = scale * (above**3 - 2 * here**3 + below**3) / 6 + jnp.maximum(depth - scale, 0.0)
         touching = (above**2 - 2 * here**2 + below**2) / 2
         return stiffness * ramp + damping * change * per_second * touching
     # Two halves of the hat, each integrated where the depth is above zero.
