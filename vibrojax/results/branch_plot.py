@@ -154,6 +154,10 @@ def plot_fold_curves(curves: "FoldCurves") -> Figure:
     shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.75, len(curves.curves)))
     for k, (curve, shade) in enumerate(zip(curves.curves, shades, strict=True)):
         axes.plot(curve.folds, curve.values, color=shade, linewidth=2.0, label=f"fold {k + 1}")
+        # Where a fold ends inside the range, its end is marked.
+        for end, why in zip((0, -1), curve.endings, strict=True):
+            if why != "end of the range":
+                axes.plot(curve.folds[end], curve.values[end], "o", color=shade, markersize=7)
     axes.set_xlabel(_axis_label(curves.axis), fontsize=LABEL)
     axes.set_ylabel(_axis_label(curves.parameter), fontsize=LABEL)
     lines, labels = axes.get_legend_handles_labels()

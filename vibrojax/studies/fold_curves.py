@@ -7,7 +7,7 @@ import numpy as np
 
 from vibrojax._checks import check_count
 from vibrojax.response.folds import Fold, fold_response
-from vibrojax.results.branch import Branch
+from vibrojax.results.branch import Branch, SpecialPoint
 from vibrojax.results.fold_curves import FoldCurve, FoldCurves
 from vibrojax.studies.continuation_axes import along_of
 from vibrojax.studies.continue_response import continue_response
@@ -17,6 +17,8 @@ FIRST, LONGEST, SHORTEST, BRIDGE = 1e-3, 0.05, 1e-5, 0.02
 """Steps in the second number, over its range; the last where a new branch is traced."""
 NEAR = 0.02
 """Farthest that a fold may lie from its prediction, relative."""
+BRIDGE_NEAR = 0.005
+"""The same where it is taken from a new branch."""
 
 
 def fold_curves(
@@ -84,7 +86,7 @@ def fold_curves(
             continue
         first = fold_response(make(begin), point, axis=axis)
         if bool(first.found):
-            curves.append(tracer.both_ways(begin, first))
+            curves.append(tracer.both_ways(begin, first, _turn(branch, point)))
     return FoldCurves(along.name, axis, tuple(curves), branch)
 
 
@@ -99,9 +101,9 @@ class _Tracer:
         self.make, self.axis, self.swept = make, axis, swept
         self.low, self.high, self.max_points = low, high, max_points
 
-    def both_ways(self, begin: float, first: Fold) -> FoldCurve:
-        down, why_down = self.follow(begin, first, -1)
-        up, why_up = self.follow(begin, first, 1)
+    def both_ways(self, begin: float, first: Fold, turn: int) -> FoldCurve:
+        down, why_down = self.follow(begin, first, -1, turn)
+        up, why_up = self.follow(begin, first, 1, turn)
         points = [*down[::-1], (begin, first), *up]
         return FoldCurve(
             values=np.array([v for v, _ in points]),
@@ -111,7 +113,7 @@ class _Tracer:
             endings=(why_down, why_up),
         )
 
-    def follow(self, begin: float, first: Fold, way: int):
+    def follow(self, begin: float, first: Fold, way: int, turn: int):
         """Follow one fold from its start to an end of the range; points, and how it ended."""
         width = self.high - self.low
         end = self.high if way > 0 else self.low
@@ -139,7 +141,7 @@ class _Tracer:
             following = value + way * BRIDGE * width
             following = min(max(following, self.low), self.high)
             guess = _predicted(points, following)
-            bridged = self.on_branch(following, guess)
+            bridged = self.on_branch(following, guess, turn)
             if bridged is None:
                 return points[1:], "the fold ends here: beyond it no fold is near"
             points.append((following, bridged))
@@ -150,13 +152,20 @@ class _Tracer:
     def close(self, found: Fold, guess: Fold) -> bool:
         return abs(float(found.parameter) - float(guess.parameter)) < NEAR * float(guess.parameter)
 
-    def on_branch(self, value: float, guess: Fold) -> Any:
-        """Find the fold nearest to the guess on the branch at this value."""
+    def on_branch(self, value: float, guess: Fold, turn: int) -> SpecialPoint | None:
+        """Find the fold of the same turn nearest to the guess on the branch at this value."""
         branch = continue_response(self.make(value), **{self.axis: self.swept})
         assert isinstance(branch, Branch)
-        folds = [p for p in branch.special_points if p.kind == "fold"]
-        folds = [p for p in folds if self.close(p, guess)]
-        return min(folds, key=lambda p: abs(p.parameter - float(guess.parameter)), default=None)
+        wanted = float(guess.parameter)
+        folds = [p for p in branch.special_points if p.kind == "fold" and _turn(branch, p) == turn]
+        folds = [p for p in folds if abs(p.parameter - wanted) < BRIDGE_NEAR * wanted]
+        return min(folds, key=lambda p: abs(p.parameter - wanted), default=None)
+
+
+def _turn(branch: Branch, point: SpecialPoint) -> int:
+    """1 where the parameter is largest at a fold, -1 where it is smallest."""
+    near = branch.values[max(point.after - 1, 0) : point.after + 2]
+    return 1 if branch.values[point.after] >= near.max() else -1
 
 
 def _predicted(points: list[tuple[float, Fold]], value: float) -> Fold:
