@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from vibrojax.drive import Harmonic
-from vibrojax.response.paths import FrequencyPath, LocalPath
+from vibrojax.response.paths import AbstractPath, FrequencyPath
 from vibrojax.stepping.method import AbstractMethod, ExactContact, ExponentialSplitting
 from vibrojax.systems.base import Motion
 
@@ -49,7 +49,7 @@ def settled_motion(
 
 
 def sampled_motion(
-    path: FrequencyPath | LocalPath,
+    path: AbstractPath,
     value: Float[Array, ""],
     state: Float[Array, " states"],
     period: int,
