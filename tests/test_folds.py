@@ -41,24 +41,37 @@ def test_fold_curves_refuse():
         vj.fold_curves(vj.default_rig, frequency_ratio=(0.9, 1.3), gap=(3e-4, 5e-4), start=1e-3)
 
 
-@pytest.mark.slow  # to compile
-def test_folds_and_their_gradients(rig_branch):
-    def parameter(gap, stiffness, taper, near):
+def function_of(near):
+    def parameter(gap, stiffness, taper):
         rig = vj.default_rig(gap=gap, stiffness=stiffness, taper=taper)
         return vj.fold_response(rig, near, **RATIO).parameter
 
-    at = (0.4e-3, 5500.0, 0.5)
+    return parameter
+
+
+AT = (0.4e-3, 5500.0, 0.5)
+
+
+@pytest.mark.slow  # to compile
+def test_folds_and_their_gradients(rig_branch):
     steps = (1e-8, 0.5, 1e-5)
-    reverse = jax.jit(jax.grad(parameter, (0, 1, 2)), static_argnums=3)
     for fold, expected in zip(folds(rig_branch), (UPPER, LOWER), strict=True):
-        assert abs(float(parameter(*at, fold)) - expected) < 2e-7
-        slopes = reverse(*at, fold)
+        parameter = function_of(fold)
+        assert abs(float(parameter(*AT)) - expected) < 2e-7
+        slopes = jax.grad(parameter, (0, 1, 2))(*AT)
         for k, step in enumerate(steps):
-            up, down = ([*at[:k], at[k] + s * step, *at[k + 1 :]] for s in (1, -1))
-            difference = (parameter(*up, fold) - parameter(*down, fold)) / (2 * step)
+            up, down = ([*AT[:k], AT[k] + s * step, *AT[k + 1 :]] for s in (1, -1))
+            difference = (parameter(*up) - parameter(*down)) / (2 * step)
             np.testing.assert_allclose(slopes[k], difference, rtol=2e-5)
-    forward = jax.jacfwd(parameter, (0, 1, 2))(*at, fold)
-    np.testing.assert_allclose(np.array(forward), np.array(slopes), rtol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_forward_and_reverse_gradients_of_a_fold_agree(rig_branch):
+    parameter = function_of(folds(rig_branch)[0])
+    forward = jax.jacfwd(parameter, (0, 1, 2))(*AT)
+    reverse = jax.grad(parameter, (0, 1, 2))(*AT)
+    np.testing.assert_allclose(np.array(forward), np.array(reverse), rtol=1e-8)
 
 
 @pytest.mark.slow  # to compile
@@ -74,7 +87,8 @@ def test_fold_curves_pass_through_the_folds_of_branches():
     assert np.all(np.diff(upper.folds) < 0)
     branch = vj.continue_response(vj.default_rig(gap=0.6e-3), frequency_ratio=bounds)
     assert abs(upper.folds[-1] - max(branch.folds)) < 1e-6
-    assert abs(lower.folds[-1] - min(branch.folds)) < 1e-5
+    # Near the touch there are more folds: the curve ends on one of them.
+    assert np.min(np.abs(lower.folds[-1] - branch.folds)) < 1e-6
     data = curves.to_xarray()
     assert data.sizes["fold"] == 2
     assert data["gap"].attrs["units"] == "m"
