@@ -61,7 +61,7 @@ def test_impact_oscillator(load, tmp_path):
     assert found.doubled.stable.any()
     jumps = [run.jump_up(b) for b in found.rounded]
     exact = run.jump_up(found.branch)
-    assert (np.diff([exact, *jumps]) > 0).all()  # the wider, the earlier it jumps
+    assert (np.diff([exact, *jumps]) > 0).all()  # the wider the corner, the higher
     run.draw_response(found, tmp_path / "response.png")
     run.draw_corner(found, tmp_path / "corner.png")
     assert len(list(tmp_path.glob("*.png"))) == 2

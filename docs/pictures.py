@@ -1,0 +1,43 @@
+"""Make docs/branch_and_sweep.png: the sweep of the default rig on its branch.
+
+python docs/pictures.py            about a minute, most of it compiling
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import vibrojax as vj
+
+RANGE = (0.95, 1.30)
+
+
+def branch_and_sweep():
+    """Draw the settled points of both directions over the branch, its folds written beside."""
+    rig = vj.default_rig()
+    sweep = vj.frequency_sweep(rig, frequency_ratio=np.linspace(*RANGE, 51))
+    branch = vj.continue_response(rig, frequency_ratio=RANGE, longest_step=0.04)
+    print(sweep)
+    print(branch)
+    figure = branch.plot(sweep=sweep)
+    axes = figure.axes[0]
+    for line in axes.lines:
+        if line.get_marker() in ("<", ">"):  # tips show on both sides of the branch
+            line.set_markersize(8)
+    for point in branch.special_points:
+        if point.kind == "fold":
+            high = point.amplitude_ratio > 20
+            axes.annotate(
+                f"fold {point.parameter:.4f}",
+                (point.parameter, point.amplitude_ratio),
+                xytext=(12 if high else -12, 0),
+                textcoords="offset points",
+                fontsize=11,
+                ha="left" if high else "right",
+                va="center",
+            )
+    return figure
+
+
+if __name__ == "__main__":
+    branch_and_sweep().savefig(Path(__file__).parent / "branch_and_sweep.png")
