@@ -19,7 +19,7 @@ import vibrojax as vj
 from vibrojax.response.continuation import LONGEST_STEP, Settings, begin
 from vibrojax.response.tracing import free_motion, make_exact, trace_branches
 from vibrojax.studies.axes import lanes_of
-from vibrojax.studies.continue_response import frequency_paths
+from vibrojax.studies.continuation_paths import frequency_paths
 
 BOUNDS = (0.85, 1.31)
 EXACT_FOLDS = (1.226735776, 1.096506842)

@@ -47,7 +47,9 @@ def test_receptance_is_the_sum_over_modes(equations):
     push = np.asarray(equations.stop_map[0]) * np.asarray(equations.force_map[:, 0])
     for k, frequency in enumerate(np.asarray(w)):
         modal = 1 / (natural**2 - frequency**2 + 2j * zeta * natural * frequency)
-        np.testing.assert_allclose(table.stop_from_force[0, 0, k], -np.sum(push * modal), rtol=1e-12)
+        np.testing.assert_allclose(
+            table.stop_from_force[0, 0, k], -np.sum(push * modal), rtol=1e-12
+        )
         tip = np.sum(np.asarray(equations.response_map) * np.asarray(equations.input_map) * modal)
         np.testing.assert_allclose(table.response_from_input[k], tip, rtol=1e-12)
 
