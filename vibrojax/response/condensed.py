@@ -48,21 +48,22 @@ def receptance(
 def _transfer(equations: LinearEquations, w: Float[Array, " harmonics"], rows):
     """Displacements (rows of the coordinates) by contact force and, last, by the input."""
     columns = jnp.concatenate([-equations.force_map, equations.input_map[:, None]], axis=1)
-    if getattr(equations, "damping_coupling", None) is None:
+    coupling = equations.damping_coupling
+    if coupling is None:
         natural, zeta = equations.angular_frequency, equations.damping_ratio
         stiff = natural[:, None] ** 2 - w**2
         compliance = 1.0 / (stiff + 2j * (zeta * natural)[:, None] * w)
         return jnp.einsum("ri,ic,ik->rck", rows, columns, compliance)
-    poles, left, right = _flight_poles(equations, rows, columns)
+    poles, left, right = _flight_poles(equations, coupling, rows, columns)
     return jnp.einsum("rp,pc,pk->rck", left, right, 1.0 / (1j * w - poles[:, None]))
 
 
-def _flight_poles(equations: LinearEquations, rows, columns):
+def _flight_poles(equations: LinearEquations, coupling: Array, rows, columns):
     """Poles of the unstopped system with coupled damping, and the two factors of its residues."""
     n = equations.size
     unit = equations.angular_frequency[0]
     w = equations.angular_frequency / unit
-    coupled = jnp.diag(2 * equations.damping_ratio * w) + equations.damping_coupling / unit
+    coupled = jnp.diag(2 * equations.damping_ratio * w) + coupling / unit
     matrix = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [-jnp.diag(w**2), -coupled]])
     values, vectors = _eigen(matrix)
     input_of = jnp.concatenate([jnp.zeros_like(columns), columns / unit]).astype(vectors.dtype)
@@ -123,7 +124,7 @@ def differentiate(
     """Spectrum of the change per sample."""
     order = np.arange(spectrum.shape[-1]) * (2 * np.pi / samples)
     order[-1] = 0.0  # the highest harmonic has no slope at the samples
-    return 1j * order * spectrum
+    return spectrum * (1j * order)
 
 
 def cell_force(

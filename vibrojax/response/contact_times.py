@@ -35,7 +35,7 @@ class Events(NamedTuple):
     """Drive phase (rad) at which the state is taken."""
 
     @property
-    def count(self) -> Int[Array, ""]:
+    def number(self) -> Int[Array, ""]:
         """How many events there are."""
         return jnp.sum(self.stop >= 0, dtype=jnp.int32)
 
@@ -263,7 +263,7 @@ def solve_orbit(
     across the branch through the guess, so that a fold is no obstacle.
     """
     n = orbit.state.size
-    count = events.count
+    count = events.number
     weight = tables_at(parameter).phases.weight
     eye = jnp.eye(n + 1)
 

@@ -56,16 +56,16 @@ _SENTENCES = {
 class Settings(NamedTuple):
     """Numbers of the continuation; arrays, so that new ones do not compile again."""
 
-    start: Float[Array, " lanes"]
-    low: Float[Array, " lanes"]
-    high: Float[Array, " lanes"]
-    direction: Float[Array, " lanes"]
+    start: Float[AnyArray, " lanes"]
+    low: Float[AnyArray, " lanes"]
+    high: Float[AnyArray, " lanes"]
+    direction: Float[AnyArray, " lanes"]
     """1 to set out upwards in the parameter, -1 downwards."""
-    scale: Float[Array, " lanes"]
+    scale: Float[AnyArray, " lanes"]
     """Change of the parameter that counts as much as a change of the motion by its size."""
-    tolerance: Float[Array, ""]
+    tolerance: Float[AnyArray, ""]
     """Relative Newton correction at which a point counts as converged."""
-    longest: Float[Array, ""]
+    longest: Float[AnyArray, ""]
     """Longest step of the arclength."""
 
 

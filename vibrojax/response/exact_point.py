@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
+from vibrojax._types import AnyArray
 from vibrojax.response.contact_times import (
     Course,
     Events,
@@ -43,7 +44,7 @@ class Guess(NamedTuple):
 
     events: Events
     orbit: Orbit
-    fits: Bool[Array, ""]
+    fits: Bool[AnyArray, ""]
     """Whether there was room for all events."""
 
 

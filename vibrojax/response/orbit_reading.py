@@ -57,11 +57,15 @@ def look(tables: Tables, course: Course, segment, angle: Float[Array, " places"]
         [growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)]
     )
     sine, cosine_ = cosine(angle - np.pi / 2), cosine(angle)
-    rows = None
-    for p in range(2**phases.num_stops):
+
+    def rows_of(p):
         value = phases.readout[p] @ moved + phases.readout_rest[p][:, None]
-        value = value + tables.rows[p].real[:, None] * sine + tables.rows[p].imag[:, None] * cosine_
-        rows = value if rows is None else jnp.where(phase == p, value, rows)
+        wave = tables.rows[p]
+        return value + wave.real[:, None] * sine + wave.imag[:, None] * cosine_
+
+    rows = rows_of(0)
+    for p in range(1, 2**phases.num_stops):
+        rows = jnp.where(phase == p, rows_of(p), rows)
     return rows
 
 
@@ -162,6 +166,7 @@ def _force(tables: Tables, rows, held):
 
 
 def state_in(tables: Tables, course: Course, segment, angle):
+    """State of a motion at a drive phase (rad) of a given segment."""
     phases, n = tables.phases, tables.phases.num_blocks
     phase = course.phase[segment]
     time = (angle - course.start[segment]) / tables.angular_frequency
@@ -202,7 +207,7 @@ class Crossings(NamedTuple):
 
     events: Events
     times: Float[Array, " events"]
-    count: Int[Array, ""]
+    number: Int[Array, ""]
     """Events found; more than there is room for when above the length of `times`."""
 
 

@@ -122,7 +122,7 @@ def localise(
 
 
 @eqx.filter_jit
-def _localise(paths: AbstractPath, parameter: Float[Array, " points"], exact: bool) -> LocalPath:
+def _localise(paths: AbstractPath, parameter: Float[AnyArray, " points"], exact: bool) -> LocalPath:
     def one(path, p):
         def value(p):
             place = path.at(p)

@@ -161,7 +161,7 @@ def _solved_exactly(path: FrequencyPath, value, period: int, state) -> _Solution
         angle = 2 * np.pi * period * jnp.arange(states.shape[0]) / states.shape[0]
         nearest = jnp.argmin(jnp.abs(angle - found.events.section))
         events = found.events._replace(section=angle[nearest])
-        first = Guess(events, Orbit(states[nearest], found.times), found.count <= MOST_EVENTS)
+        first = Guess(events, Orbit(states[nearest], found.times), found.number <= MOST_EVENTS)
 
     def attempt(carry, _):
         guess, best = carry
@@ -177,7 +177,7 @@ def _solved_exactly(path: FrequencyPath, value, period: int, state) -> _Solution
         again = find_crossings(reading.depth, reading.change, MOST_EVENTS, period)
         section = again.events.section
         there = state_at(path.tables(value), course, section, guess.events.section, period)
-        following = Guess(again.events, Orbit(there, again.times), again.count <= MOST_EVENTS)
+        following = Guess(again.events, Orbit(there, again.times), again.number <= MOST_EVENTS)
         return (following, best), None
 
     n = state.size

@@ -5,8 +5,8 @@ between the neighbours are solved at once, the place is narrowed to between two 
 same again.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from itertools import pairwise
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -32,7 +32,7 @@ class Found(NamedTuple):
     after: np.ndarray
     """Index of the branch point before which it lies."""
     parameter: np.ndarray
-    point: ExactPoint | None
+    point: ExactPoint
     """The motions themselves."""
 
 
@@ -50,11 +50,13 @@ def torus_test(multipliers: np.ndarray) -> np.ndarray:
 def on_circle(multipliers: np.ndarray) -> np.ndarray:
     """Whether a complex pair is on the unit circle, near enough to be told from a real pair."""
     near = np.abs(np.abs(multipliers) - 1) < 1e-3
-    turned = np.abs(multipliers.imag) > 1e-4
+    turned = np.abs(np.imag(multipliers)) > 1e-4
     return np.any(near & turned, axis=-1)
 
 
-class _Bracket(NamedTuple):
+class Bracket(NamedTuple):
+    """Where between the points of a branch a special one lies."""
+
     kind: str
     lane: int
     at: int
@@ -63,7 +65,7 @@ class _Bracket(NamedTuple):
 
 def brackets_of(
     lane: int, parameter: np.ndarray, multipliers: np.ndarray, sound: np.ndarray
-) -> list[_Bracket]:
+) -> list[Bracket]:
     """Find between which points of a branch special ones lie.
 
     Only `sound` points count; a gap of more than two others between them is not bridged.
@@ -76,13 +78,13 @@ def brackets_of(
     # A fold turns the parameter round; steps of round-off turn nothing.
     size = 1e-11 * np.max(np.abs(parameter), initial=0.0)
     moving = np.flatnonzero(np.abs(step) > size)
-    for before, after in zip(moving[:-1], moving[1:], strict=True):
+    for before, after in pairwise(moving):
         if step[before] * step[after] < 0 and near[before : after + 1].all():
-            found.append(_Bracket("fold", lane, int(at[after])))
+            found.append(Bracket("fold", lane, int(at[after])))
     for kind, test in (("period_doubling", doubling_test), ("neimark_sacker", torus_test)):
         value = test(multipliers[at])
         for i in np.flatnonzero((value[:-1] * value[1:] < 0) & near):
-            found.append(_Bracket(kind, lane, int(at[i])))
+            found.append(Bracket(kind, lane, int(at[i])))
     return found
 
 
@@ -95,7 +97,7 @@ def _between(depth, parameter, s):
 def refine(
     paths: AbstractPath,
     branches: list[tuple[np.ndarray, np.ndarray]],
-    brackets: list[_Bracket],
+    brackets: list[Bracket],
     period: int,
 ) -> Found | None:
     """Refine special points of branches given as (parameter, depth) of each lane."""
@@ -119,27 +121,29 @@ def refine(
         count = places.shape[1]
         made = [_between(u[2], u[1], s) for u, row in zip(usable, places, strict=True) for s in row]
         depth, parameter = np.stack([m[0] for m in made]), np.array([m[1] for m in made])
-        return make_exact(paths, np.repeat(lanes, count), depth, parameter, period=period), count
+        return make_exact(paths, np.repeat(lanes, count), depth, parameter, period=period)
 
-    share = np.linspace(0.0, 1.0, SAMPLES)
-    for _ in range(ROUNDS):
-        places = low[:, None] + (high - low)[:, None] * share
-        points, count = solve(places)
-        p = np.where(points.valid, points.parameter, np.nan).reshape(-1, count)
-        m = points.multipliers.reshape(len(usable), count, -1)
-        for k, (b, *_rest) in enumerate(usable):
+    def look_and_narrow():
+        places = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, SAMPLES)
+        samples = solve(places)
+        p = np.where(samples.valid, samples.parameter, np.nan).reshape(places.shape)
+        m = samples.multipliers.reshape(*places.shape, -1)
+        for k, (b, *_) in enumerate(usable):
             low[k], high[k], ok = _narrow(b.kind, places[k], p[k], m[k])
             keep[k] &= ok
+        return places, samples, p
+
+    for _ in range(ROUNDS - 1):
+        look_and_narrow()
+    places, samples, p = look_and_narrow()
     best = (low + high) / 2
-    for k, (b, *_rest) in enumerate(usable):
+    for k, (b, *_) in enumerate(usable):
         if b.kind == "fold":
             best[k] = _vertex(places[k], p[k], best[k])
-    samples, count = points, places.shape[1]
-    points, _ = solve(best[:, None])
-    points = _or_best_sample(points, samples, count, usable)
+    points = _or_best_sample(solve(best[:, None]), samples, SAMPLES, usable)
     keep &= points.valid
     torus = np.array([u[0].kind == "neimark_sacker" for u in usable])
-    keep &= ~torus | on_circle(points.multipliers)
+    keep &= ~torus | on_circle(np.asarray(points.multipliers))
     chosen = np.flatnonzero(keep)
     # Twins: one fold seen from two brackets.
     order = sorted(chosen, key=lambda k: (lanes[k], usable[k][0].at, points.parameter[k]))
@@ -156,7 +160,7 @@ def refine(
         kind=[usable[k][0].kind for k in final],
         lane=lanes[index],
         after=np.array([usable[k][0].at for k in final]),
-        parameter=points.parameter[index],
+        parameter=np.asarray(points.parameter)[index],
         point=take(points, index),
     )
 
@@ -199,7 +203,7 @@ def _narrow(kind, place, parameter, multipliers):
     test = doubling_test if kind == "period_doubling" else torus_test
     value = np.where(good, test(multipliers), np.nan)
     at = np.flatnonzero(good)
-    for a, b in zip(at[:-1], at[1:], strict=True):
+    for a, b in pairwise(at):
         if value[a] * value[b] <= 0:
             return place[a], place[b], True
     return place[0], place[-1], False
@@ -251,7 +255,7 @@ def first_touches(
     if not len(change):
         return []
     free = np.where(touching[change], change + 1, change)
-    paths, found, good = jax.device_get(paths), parameter[free], None
+    paths, found, good = jax.device_get(paths), parameter[free], np.zeros(len(free), bool)
     # A path other than that of the frequency is only known to first order near a value.
     for _ in range(1 if isinstance(paths, FrequencyPath) else 4):
         now = found
@@ -261,18 +265,3 @@ def first_touches(
 
         found, good = in_batches(touch, len(change))
     return [(int(i), float(p)) for i, p, ok in zip(change, found, good, strict=True) if ok]
-
-
-def special(found: Found | None) -> Callable[[str, int], list[Any]]:
-    """Return a look-up of (index, parameter, motion) by kind and lane."""
-
-    def of(kind: str, lane: int) -> list[Any]:
-        if found is None:
-            return []
-        return [
-            (int(found.after[k]), float(found.parameter[k]), take(found.point, k))
-            for k in range(len(found.kind))
-            if found.kind[k] == kind and found.lane[k] == lane
-        ]
-
-    return of

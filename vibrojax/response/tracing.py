@@ -124,8 +124,10 @@ def trace_branches(
             ending = Ending(int(status[place]))
             over = count > max_points or ticks[place] > 8 * max_points
             if ending is not Ending.running or over:
-                joined = [np.concatenate(part) for part in zip(*found[lane], strict=True)]
-                done[lane] = Traced(*joined, ending, int(ticks[place]))
+                parameter, depth, direction = (
+                    np.concatenate(part) for part in zip(*found[lane], strict=True)
+                )
+                done[lane] = Traced(parameter, depth, direction, ending, int(ticks[place]))
                 places[place] = None
                 if over:
                     stopped = np.array(trace.status)
@@ -226,7 +228,7 @@ def make_exact(
 
 
 def _guess(found, state) -> Guess:
-    return Guess(found.events, Orbit(state, found.times), found.count <= MOST_EVENTS)
+    return Guess(found.events, Orbit(state, found.times), found.number <= MOST_EVENTS)
 
 
 def exact_from(
@@ -262,10 +264,11 @@ def exact_from(
         left = np.flatnonzero(~best.valid)
         if not len(left):
             break
-        again = in_batches(
-            lambda i, left=left: solve(left[i], take(best, left[i]), take(courses, left[i])),
-            len(left),
-        )
+
+        def repair(i, left=left, best=best, courses=courses):
+            return solve(left[i], take(best, left[i]), take(courses, left[i]))
+
+        again = in_batches(repair, len(left))
         best, courses = _put((best, courses), again, left)
     if not isinstance(paths, FrequencyPath) and not hold:
         # Near its value the path was taken to first order: once more from where the points are.

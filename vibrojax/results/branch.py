@@ -173,10 +173,10 @@ class Branch(eqx.Module):
     def switch(self, number: int = 0, **settings: Any) -> "Branch":
         """Follow the branch of twice the period that leaves at a period doubling.
 
-        `number` counts `period_doublings`; settings are those of `continue_response`. Raises
-        `ValueError` where there is no such point.
+        `number` counts `period_doublings`; settings are `max_points` and `longest_step` of
+        `continue_response`. Raises `ValueError` where there is no such point.
         """
-        from vibrojax.studies.continue_response import switch_branch
+        from vibrojax.studies.branch_switching import switch_branch
 
         return switch_branch(self, number, **settings)
 
@@ -200,8 +200,8 @@ class Branch(eqx.Module):
         )
         data["stable"] = ("point", self.stable.astype(np.int8), described("stable"))
         for part, values in (
-            ("real", self.floquet_multipliers.real),
-            ("imaginary", self.floquet_multipliers.imag),
+            ("real", np.real(self.floquet_multipliers)),
+            ("imaginary", np.imag(self.floquet_multipliers)),
         ):
             name = f"floquet_multiplier_{part}"
             data[name] = (("point", "multiplier"), values, described(name))

@@ -140,7 +140,11 @@ def _lay_sweep(
         x = np.asarray(sweep.frequencies)
         if len(y) != len(x):
             raise ValueError("sweep must be of one system: pick one value of every axis.")
-        style = {"marker": MARKERS[direction], "linestyle": "none", "color": colors[direction]}
+        style: dict[str, Any] = {
+            "marker": MARKERS[direction],
+            "linestyle": "none",
+            "color": colors[direction],
+        }
         axes.plot(x, y, markersize=5, alpha=0.9, zorder=2, **style)
         lines.append(Line2D([], [], markersize=6, **style))
         labels.append(f"{direction} sweep")

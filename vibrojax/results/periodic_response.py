@@ -156,7 +156,7 @@ class PeriodicResponse(eqx.Module):
             for name in (*NUMBERS, "frequency_ratio", "status")
         }
         multipliers = np.asarray(self.floquet_multipliers)
-        for part, values in (("real", multipliers.real), ("imaginary", multipliers.imag)):
+        for part, values in (("real", np.real(multipliers)), ("imaginary", np.imag(multipliers))):
             name = f"floquet_multiplier_{part}"
             data[name] = ((*lanes, "multiplier"), values, described(name))
         data["initial_state"] = (

@@ -14,7 +14,8 @@ from vibrojax.results.coexisting import Coexisting, Motion
 from vibrojax.results.status import Status
 from vibrojax.stepping.choice import is_exact
 from vibrojax.studies.continuation_axes import check_system
-from vibrojax.studies.continue_response import continue_response, frequency_paths
+from vibrojax.studies.continuation_paths import frequency_paths
+from vibrojax.studies.continue_response import continue_response
 from vibrojax.studies.starting import settled
 from vibrojax.systems.base import AbstractSystem, as_arrays
 

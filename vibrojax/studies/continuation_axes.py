@@ -32,11 +32,6 @@ class Along(NamedTuple):
     description: str
 
     @property
-    def count(self) -> int:
-        """How many lanes there are."""
-        return len(self.labels)
-
-    @property
     def numbers(self) -> dict[str, Any]:
         """Axes and fixed numbers, for `lanes_of`."""
         return {n: list(v) for n, v in self.axes.items()} | self.fixed | self.static
@@ -120,9 +115,13 @@ def along_of(
     else:
         (followed, (low, high)), *_ = ranges.items()
         frequency_value = float(value)
-        for end in (high, low):  # both ends are built from concrete numbers, so checked
-            for row in labels:
-                sample = _make(system, static | fixed | row | {followed: end})
+        # Both ends are built from concrete numbers, so checked.
+        ends = [
+            _make(system, static | fixed | row | {followed: end})
+            for end in (high, low)
+            for row in labels
+        ]
+        sample = ends[-1]
     check_system(sample)
     return Along(
         make=system,

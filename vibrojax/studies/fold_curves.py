@@ -22,10 +22,10 @@ BRIDGE_NEAR = 0.005
 
 
 def fold_curves(
-    system: Callable[..., AbstractSystem],
+    system: Callable[..., AbstractSystem] | AbstractSystem,
     *,
-    frequency_ratio: tuple[float, float] | None = None,
-    frequency: tuple[float, float] | None = None,
+    frequency_ratio: Any = None,
+    frequency: Any = None,
     start: float | None = None,
     max_points: int = 400,
     **numbers: Any,
@@ -60,7 +60,9 @@ def fold_curves(
     swept = frequency_ratio if frequency_ratio is not None else frequency
     if not isinstance(swept, tuple):
         raise ValueError(f"{axis} must be a range (low, high), got {swept!r}.")
-    along = along_of(system, *_one(axis, float(np.mean(swept))), numbers)
+    middle = float(np.mean(swept))
+    is_ratio = axis == "frequency_ratio"
+    along = along_of(system, middle if is_ratio else None, None if is_ratio else middle, numbers)
     if along.axes:
         raise ValueError(
             f"{next(iter(along.axes))} is a list: fold_curves follows one number, the others are "
@@ -77,7 +79,8 @@ def fold_curves(
     def make(value: float) -> AbstractSystem:
         return system(**fixed, **{along.name: value})
 
-    branch = continue_response(make(begin), **{axis: swept})
+    range_of: dict[str, Any] = {axis: swept}
+    branch = continue_response(make(begin), **range_of)
     assert isinstance(branch, Branch)
     tracer = _Tracer(make, axis, swept, along.low, along.high, max_points)
     curves = []
@@ -88,10 +91,6 @@ def fold_curves(
         if bool(first.found):
             curves.append(tracer.both_ways(begin, first, _turn(branch, point)))
     return FoldCurves(along.name, axis, tuple(curves), branch)
-
-
-def _one(axis: str, value: float) -> tuple[float | None, float | None]:
-    return (value, None) if axis == "frequency_ratio" else (None, value)
 
 
 class _Tracer:
@@ -154,7 +153,8 @@ class _Tracer:
 
     def on_branch(self, value: float, guess: Fold, turn: int) -> SpecialPoint | None:
         """Find the fold of the same turn nearest to the guess on the branch at this value."""
-        branch = continue_response(self.make(value), **{self.axis: self.swept})
+        range_of: dict[str, Any] = {self.axis: self.swept}
+        branch = continue_response(self.make(value), **range_of)
         assert isinstance(branch, Branch)
         wanted = float(guess.parameter)
         folds = [p for p in branch.special_points if p.kind == "fold" and _turn(branch, p) == turn]

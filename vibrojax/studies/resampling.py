@@ -10,6 +10,8 @@ from vibrojax.response.exact_point import Guess
 from vibrojax.response.tracing import exact_from, make_exact
 from vibrojax.results.branch import Branch, axis_description
 from vibrojax.results.variables import VARIABLES
+from vibrojax.studies.branch_finishing import ratios_of
+from vibrojax.studies.continuation_paths import references
 
 if TYPE_CHECKING:
     import xarray
@@ -103,27 +105,28 @@ def _interpolated(branch: Branch, i: int, share: float) -> np.ndarray:
 def _exactly(branch: Branch, values, first, share, depth):
     """Exact motions at the values; where the branch is steep, by creeping along it."""
     lane = np.zeros(len(values), int)
-    settings = {"period": branch.period}
-    point = make_exact(branch.path, lane, depth, values, hold=True, **settings)
+    period = branch.period
+    point = make_exact(branch.path, lane, depth, values, period=period, hold=True)
     left = np.flatnonzero(~point.valid)
     if not len(left):
         return point
     x, i = branch.values, first[left]
     low, high = np.zeros(len(left)), np.ones(len(left))
     below, above = x[i] - values[left], x[i + 1] - values[left]
+    close = Guess(point.events, point.orbit, np.zeros(len(point.valid), bool))
     for turn in range(CREEPS):
         middle = np.clip(low - below * (high - low) / (above - below), low, high)
         middle = np.where(turn % 3 == 2, (low + high) / 2, middle)
         way = middle[:, None, None]
         between = (1 - way) * branch.depth[i] + way * branch.depth[i + 1]
         guess = (1 - middle) * x[i] + middle * x[i + 1]
-        near = make_exact(branch.path, lane[left], between, guess, **settings)
+        near = make_exact(branch.path, lane[left], between, guess, period=period)
         value = np.where(near.valid, near.parameter - values[left], guess - values[left])
         same = value * below > 0
         low, below = np.where(same, middle, low), np.where(same, value, below)
         high, above = np.where(same, high, middle), np.where(same, above, value)
-    close = Guess(near.events, near.orbit, np.ones(len(left), bool))
-    found = exact_from(branch.path, lane[left], close, values[left], hold=True, **settings)
+        close = Guess(near.events, near.orbit, np.ones(len(left), bool))
+    found = exact_from(branch.path, lane[left], close, values[left], period=period, hold=True)
 
     def put(a, b):
         a = np.array(a)
@@ -136,7 +139,8 @@ def _exactly(branch: Branch, values, first, share, depth):
 def _solve(branch: Branch, values, first, share) -> dict[str, np.ndarray]:
     """Solve at the values held fixed; NaN where no motion is found near the branch."""
     lane = np.zeros(len(values), int)
-    depth = np.array([_interpolated(branch, int(i), float(s)) for i, s in zip(first, share, strict=True)])
+    places = zip(first.tolist(), share.tolist(), strict=True)
+    depth = np.array([_interpolated(branch, i, s) for i, s in places])
     if branch.exact:
         point = _exactly(branch, values, first, share, depth)
         r, multipliers, good = point.reading, point.multipliers, point.valid
@@ -145,15 +149,10 @@ def _solve(branch: Branch, values, first, share) -> dict[str, np.ndarray]:
         depth, good = solve_all(branch.path, lane, depth, values, period=branch.period)
         r = read_all(branch.path, lane, depth, values, period=branch.period)
         multipliers, residual = r.multipliers, r.residual
-    from vibrojax.studies.continue_response import references
-
     reference, _ = references(branch.path, lane, values)
     leading = np.max(np.abs(multipliers), axis=1)
     solved = {
-        "amplitude_ratio": (r.highest - r.lowest) / 2 / reference,
-        "peak_ratio": np.maximum(r.highest, -r.lowest) / reference,
-        "rms_ratio": np.sqrt(r.mean_square) / reference,
-        "first_harmonic_ratio": r.first_harmonic / reference,
+        **ratios_of(r._asdict(), reference),
         "contact_force": r.contact_force,
         "contact_fraction": r.contact_fraction,
         "contacts_per_period": r.contacts / branch.period,

@@ -107,6 +107,8 @@ def _moved(base: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[st
     """Largest change of every number; NaN for one that only one of the results has."""
     names = list(base) + [n for n in other if n not in base]
     return {
-        n: np.asarray(np.max(np.abs(other[n] - base[n]))) if n in base and n in other else np.asarray(np.nan)
+        n: np.asarray(np.max(np.abs(other[n] - base[n])))
+        if n in base and n in other
+        else np.asarray(np.nan)
         for n in names
     }

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from vibrojax._types import AnyArray
 from vibrojax.response.condensed import cell_average
 from vibrojax.response.paths import AbstractPath
 from vibrojax.response.settling import Settled, settle
@@ -15,7 +16,7 @@ from vibrojax.response.starting import sampled_motion, stepper
 @eqx.filter_jit
 def settled(
     paths: AbstractPath,
-    values: Float[Array, " lanes"],
+    values: Float[AnyArray, " lanes"],
     state: Float[Array, "states lanes"],
     exact: bool,
     max_period: int,
@@ -41,7 +42,7 @@ def settled(
 @eqx.filter_jit
 def sampled_depth(
     paths: AbstractPath,
-    values: Float[Array, " lanes"],
+    values: Float[AnyArray, " lanes"],
     state: Float[Array, "lanes states"],
     samples: int,
     period: int,
@@ -71,7 +72,6 @@ def settled_guess(
 
     Without a `state` (2 coordinates) the motions are marched from rest until they settle.
     """
-    values = jnp.asarray(values)
     if state is None:
         size = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take_first(paths)).equations.size
         rest = jnp.zeros((2 * size, len(values)))
