@@ -124,7 +124,7 @@ def differentiate(
     """Spectrum of the change per sample."""
     order = np.arange(spectrum.shape[-1]) * (2 * np.pi / samples)
     order[-1] = 0.0  # the highest harmonic has no slope at the samples
-    return spectrum * (1j * order)
+    return jnp.asarray(1j * order) * spectrum
 
 
 def cell_force(
@@ -140,7 +140,7 @@ def cell_force(
     law = stop.law.linear_coefficients()
     scale = jnp.sqrt(change**2 + jnp.asarray(stop.width, float) ** 2 + 1e-300)
     if stop.is_linear and stop.law.can_pull and law is not None:
-        stiffness, damping = law
+        stiffness, damping = (jnp.asarray(c) for c in law)
         # Deep in the stop the mean is the force itself, which the polynomial would lose digits of.
         x = jnp.clip(depth / scale, -1.0, 1.0)
         above, here, below = (jnp.maximum(x + shift, 0.0) for shift in (1.0, 0.0, -1.0))

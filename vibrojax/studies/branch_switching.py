@@ -84,7 +84,7 @@ def _moved(paths: AbstractPath, value, state, period):
 
 def _until_joined(traced: Traced, tangent: np.ndarray) -> Traced:
     """Cut a doubled branch where it joins the single one again: its odd part changes sign."""
-    along = np.sum((traced.depth * np.conj(tangent)).real, axis=(1, 2))
+    along = np.sum(np.real(traced.depth * np.conj(tangent)), axis=(1, 2))
     back = np.flatnonzero(along <= 0)
     if not len(back):
         return traced

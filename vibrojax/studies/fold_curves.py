@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from vibrojax._checks import check_count
@@ -116,8 +117,8 @@ class _Tracer:
         """Follow one fold from its start to an end of the range; points, and how it ended."""
         width = self.high - self.low
         end = self.high if way > 0 else self.low
-        points: list[tuple[float, Fold]] = [(begin, first)]
-        smooth, step = [(begin, first)], FIRST
+        points: list[tuple[float, Fold | SpecialPoint]] = [(begin, first)]
+        smooth, step = points[:], FIRST
         while len(points) <= self.max_points:
             value = points[-1][0]
             if value == end:
@@ -168,7 +169,7 @@ def _turn(branch: Branch, point: SpecialPoint) -> int:
     return 1 if branch.values[point.after] >= near.max() else -1
 
 
-def _predicted(points: list[tuple[float, Fold]], value: float) -> Fold:
+def _predicted(points: list[tuple[float, Fold | SpecialPoint]], value: float) -> Fold:
     """Guess the next fold along the line, or the parabola, through the last ones."""
     recent = points[-3:]
     nodes = [v for v, _ in recent]
@@ -182,8 +183,8 @@ def _predicted(points: list[tuple[float, Fold]], value: float) -> Fold:
     corner = any(f.initial_state is None for _, f in recent)
     return Fold(
         parameter=mixed("parameter"),
-        amplitude_ratio=last.amplitude_ratio,
-        contact_force=last.contact_force,
-        initial_state=np.zeros(0) if corner else mixed("initial_state"),
-        found=np.asarray(True),
+        amplitude_ratio=jnp.asarray(last.amplitude_ratio),
+        contact_force=jnp.asarray(last.contact_force),
+        initial_state=jnp.zeros(0) if corner else mixed("initial_state"),
+        found=jnp.asarray(True),
     )
