@@ -104,7 +104,7 @@ def test_stability_changes_at_the_folds(rig_branch):
 def test_points_are_exact_and_in_order(rig_branch):
     points = len(rig_branch.values)
     assert 50 < points < 400
-    assert rig_branch.dropped == 0
+    assert rig_branch.exact_points.all()
     assert rig_branch.residual.max() < 1e-9
     assert (np.diff(rig_branch.arclength) > 0).all()
     assert rig_branch.arclength[0] == 0

@@ -1,6 +1,6 @@
 """Shooting: Newton's method on the period map of any system under any solver."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -9,17 +9,24 @@ import jax.numpy as jnp
 import optimistix
 from jaxtyping import Array, Float
 
-from vibrojax.drive import Harmonic
+from vibrojax.drive import AbstractDrive, Harmonic
 from vibrojax.response.implicit import frozen, with_columns
 from vibrojax.response.methods import Shooting
-from vibrojax.response.paths import Place
 from vibrojax.results.periodic_response import PeriodicResponse, Sampled, reading_of
 from vibrojax.stepping.elementary import cubic_maximum
 from vibrojax.stepping.method import ExactContact, ExponentialSplitting
-from vibrojax.systems.base import AbstractSystem, LinearEquations, Motion
+from vibrojax.systems.base import AbstractEquations, AbstractSystem, LinearEquations, Motion
 
 SETTLING = 200
 """Drive periods marched from rest for a first guess."""
+
+
+class _Place(NamedTuple):
+    """Equations of any kind, drive and drive frequency."""
+
+    equations: AbstractEquations
+    drive: AbstractDrive
+    angular_frequency: Float[Array, ""]
 
 
 def shoot(
@@ -44,10 +51,10 @@ def shoot(
 
 @eqx.filter_jit
 def _shoot(system, value, is_ratio, period, state, method, solver):
-    def place_of(system, value) -> Place:
+    def place_of(system, value) -> _Place:
         equations = system.equations()
         unit = equations.angular_frequency[0] if is_ratio else 2 * jnp.pi
-        return Place(equations, system.drive, value * unit)
+        return _Place(equations, system.drive, value * unit)
 
     n = eqx.filter_eval_shape(system.equations).size
 
@@ -126,7 +133,7 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
     )
 
 
-def _read(place: Place, states: Any, steps_per_period: int, period: int) -> Sampled:
+def _read(place: _Place, states: Any, steps_per_period: int, period: int) -> Sampled:
     """Read amplitudes and forces off the states at the ends of all steps."""
     equations = place.equations
     step = 2 * jnp.pi / place.angular_frequency / steps_per_period

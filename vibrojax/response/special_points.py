@@ -115,7 +115,7 @@ def refine(
         return None
     lanes = np.array([u[0].lane for u in usable])
     low, high = np.array([u[3] for u in usable]), np.array([u[4] for u in usable])
-    keep = np.ones(len(usable), bool)
+    keep, best = np.ones(len(usable), bool), np.zeros(len(usable))
 
     def solve(places):  # (special points, places)
         count = places.shape[1]
@@ -129,14 +129,13 @@ def refine(
         p = np.where(samples.valid, samples.parameter, np.nan).reshape(places.shape)
         m = samples.multipliers.reshape(*places.shape, -1)
         for k, (b, *_) in enumerate(usable):
-            low[k], high[k], ok = _narrow(b.kind, places[k], p[k], m[k])
+            low[k], high[k], best[k], ok = _narrow(b.kind, places[k], p[k], m[k])
             keep[k] &= ok
         return places, samples, p
 
     for _ in range(ROUNDS - 1):
         look_and_narrow()
     places, samples, p = look_and_narrow()
-    best = (low + high) / 2
     for k, (b, *_) in enumerate(usable):
         if b.kind == "fold":
             best[k] = _vertex(places[k], p[k], best[k])
@@ -188,25 +187,30 @@ def _or_best_sample(points, samples, count, usable) -> ExactPoint:
 
 
 def _narrow(kind, place, parameter, multipliers):
-    """Narrow a bracket to around the place where the parameter turns or the test changes sign."""
+    """Narrow a bracket to around the place where the parameter turns or the test changes sign.
+
+    Returns the new bracket, the place itself as far as it is known, and whether it was seen.
+    """
     good = np.isfinite(parameter)
+    lost = place[0], place[-1], (place[0] + place[-1]) / 2, False
     if good.sum() < 3:
-        return place[0], place[-1], False
+        return lost
     if kind == "fold":
         ends = parameter[good][0], parameter[good][-1]
         up = np.nanmax(parameter) - max(ends)
         down = min(ends) - np.nanmin(parameter)
         if max(up, down) <= 0:
-            return place[0], place[-1], False
+            return lost
         at = int(np.nanargmax(parameter) if up >= down else np.nanargmin(parameter))
-        return place[max(at - 1, 0)], place[min(at + 1, len(place) - 1)], True
+        return place[max(at - 1, 0)], place[min(at + 1, len(place) - 1)], place[at], True
     test = doubling_test if kind == "period_doubling" else torus_test
     value = np.where(good, test(multipliers), np.nan)
     at = np.flatnonzero(good)
     for a, b in pairwise(at):
         if value[a] * value[b] <= 0:
-            return place[a], place[b], True
-    return place[0], place[-1], False
+            share = 0.5 if value[a] == value[b] else value[a] / (value[a] - value[b])
+            return place[a], place[b], place[a] + share * (place[b] - place[a]), True
+    return lost
 
 
 def _vertex(place, parameter, fallback):
@@ -242,20 +246,26 @@ def _touch(paths, parameter):
             return p - jnp.clip(value / jnp.where(slope == 0, 1.0, slope), -0.02, 0.02)
 
         p = jax.lax.fori_loop(0, 12, newton, parameter)
-        return p, jnp.abs(clearance(p)) < 1e-9
+        place = path.at(p)
+        table = receptance(place.equations, place.angular_frequency[None])
+        force = place.drive.complex_amplitude(place.angular_frequency, jnp.zeros_like(p))
+        reference, _ = place.drive.reference
+        amplitude = jnp.abs(force * table.response_from_input[0]) / reference
+        return p, amplitude, jnp.abs(clearance(p)) < 1e-9
 
     return jax.vmap(one)(paths, parameter)
 
 
 def first_touches(
     paths: AbstractPath, lane: int, parameter: np.ndarray, touching: np.ndarray
-) -> list[tuple[int, float]]:
-    """Parameters at which the branch goes between flight and contact, with the point before."""
+) -> list[tuple[int, float, float]]:
+    """Where flight and contact meet: the point before, the parameter, the amplitude ratio."""
     change = np.flatnonzero(touching[:-1] != touching[1:])
     if not len(change):
         return []
     free = np.where(touching[change], change + 1, change)
-    paths, found, good = jax.device_get(paths), parameter[free], np.zeros(len(free), bool)
+    paths, found = jax.device_get(paths), parameter[free]
+    amplitude, good = np.zeros(len(free)), np.zeros(len(free), bool)
     # A path other than that of the frequency is only known to first order near a value.
     for _ in range(1 if isinstance(paths, FrequencyPath) else 4):
         now = found
@@ -263,5 +273,6 @@ def first_touches(
         def touch(i, now=now):
             return _touch(localise(paths, np.full(len(i), lane), now[i], False), now[i])
 
-        found, good = in_batches(touch, len(change))
-    return [(int(i), float(p)) for i, p, ok in zip(change, found, good, strict=True) if ok]
+        found, amplitude, good = in_batches(touch, len(change))
+    rows = zip(change.tolist(), found.tolist(), amplitude.tolist(), good, strict=True)
+    return [(i, p, a) for i, p, a, ok in rows if ok]

@@ -54,13 +54,14 @@ def sampled_motion(
     state: Float[Array, " states"],
     period: int,
     exact: bool,
+    per_period: int = SAMPLES,
 ) -> tuple[Array, Array, Array]:
     """Depths (stops, samples), their change per sample and the states of a motion from phase 0."""
     place = path.at(value)
     equations = place.equations
-    count = SAMPLES * period
+    count = per_period * period
     motion = Motion(equations, place.drive, Harmonic(place.angular_frequency / (2 * jnp.pi)))
-    interval = 2 * jnp.pi / place.angular_frequency / SAMPLES
+    interval = 2 * jnp.pi / place.angular_frequency / per_period
     method = stepper(exact)
     kept = method.init(None, 0.0, interval, state, motion)
 

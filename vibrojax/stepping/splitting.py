@@ -175,11 +175,11 @@ def contact_rate(equations: LinearEquations) -> Float[Array, "*#lanes"]:
 def steps_for(
     equations: LinearEquations,
     angular_frequency: Float[Array, "*#lanes"],
-    tolerance: Float[Array, ""],
+    tolerance: Float[Array, "*#lanes"],
 ) -> Int[Array, ""]:
     """Steps per drive period for an error near the tolerance (measured: see benchmarks)."""
     rate = jnp.maximum(contact_rate(equations), equations.angular_frequency[0])
-    per_radian = 8.0 * jnp.sqrt(1e-3 / tolerance)
+    per_radian = 8.0 * jnp.sqrt(1e-3 / jnp.min(tolerance))
     longest = jnp.max(rate / angular_frequency) * 2 * np.pi * per_radian
     return jnp.ceil(jnp.maximum(longest, 64.0)).astype(jnp.int32)
 

@@ -49,6 +49,8 @@ KEPT = (
 """Columns that a branch keeps under the same name."""
 SNAP = 2e-3
 """Largest relative distance of a fold from the touch that it is put on."""
+REACH = 3
+"""Farthest that the touch may lie along the branch, in points."""
 
 
 def finish(plan: Plan, paths: AbstractPath, traced: list[Traced], notes: list[str]) -> list[Branch]:
@@ -81,10 +83,8 @@ def _branch(
     sentence = traced.ending.sentence if begun else "No periodic motion was found to start from."
     inexact = int(np.sum(~columns["exact_points"])) if plan.exact else 0
     if inexact:
-        note += (
-            f" {inexact} of its points are harmonic balance only: no exact motion was found for "
-            "them."
-        )
+        which = "1 point is" if inexact == 1 else f"{inexact} points are"
+        note += f" {which} harmonic balance only: no exact motion was found there."
     return Branch(
         axis=plan.axis,
         values=columns["parameter"],
@@ -218,22 +218,27 @@ def _special_points(
     points: list[list[SpecialPoint]] = [[] for _ in own]
     if plan.exact:
         branches = [(c["parameter"], d) for c, d in zip(own, depth, strict=True)]
-        found = refine(paths, branches, brackets, plan.period) if brackets else None
-        if found is not None:
+        # Lanes that fell back on another resolution have spectra of another length.
+        for size in sorted({depth[b.lane].shape[-1] for b in brackets}):
+            alike = [b for b in brackets if depth[b.lane].shape[-1] == size]
+            found = refine(paths, branches, alike, plan.period)
+            if found is None:
+                continue
             for j, (kind, k) in enumerate(zip(found.kind, found.lane.tolist(), strict=True)):
                 motion = take(found.point, j)
                 points[k].append(_refined(paths, k, kind, int(found.after[j]), motion))
     else:
         for b in brackets:
-            points[b.lane].append(_unrefined(b, own[b.lane]))
+            if b.kind != "neimark_sacker" or _turns(own[b.lane]["multipliers"][b.at : b.at + 2]):
+                points[b.lane].append(_unrefined(b, own[b.lane]))
     finished = []
     for k, c in enumerate(own):
         if plan.period == 1 and len(c["parameter"]):
             touching = c["contact_fraction"] > 0
-            for after, parameter in first_touches(paths, k, c["parameter"], touching):
-                amplitude = float(c["amplitude_ratio"][after])
+            for after, parameter, amplitude in first_touches(paths, k, c["parameter"], touching):
                 points[k].append(SpecialPoint("grazing", parameter, amplitude, 0.0, None, after))
-        snapped = _snapped(points[k], c["parameter"])
+        mine = [b.at for b in brackets if b.kind == "fold" and b.lane == k]
+        snapped = _cornered(points[k], mine, c["parameter"]) if plan.exact else points[k]
         finished.append(tuple(sorted(snapped, key=lambda p: p.after)))
     return finished
 
@@ -267,26 +272,37 @@ def _unrefined(bracket: Bracket, columns: Columns) -> SpecialPoint:
     )
 
 
-def _snapped(points: list[SpecialPoint], values: np.ndarray) -> list[SpecialPoint]:
+def _turns(multipliers: np.ndarray) -> bool:
+    """Whether a complex pair is near the unit circle."""
+    near = np.abs(np.abs(multipliers) - 1) < 0.1
+    return bool(np.any(near & (np.abs(np.imag(multipliers)) > 1e-3)))
+
+
+def _cornered(
+    points: list[SpecialPoint], brackets: list[int], values: np.ndarray
+) -> list[SpecialPoint]:
     """Put folds that are corners at a touch on the touch itself.
 
     Where contact begins, a branch can turn round at once: then its extreme is the touch, and no
     smooth fold beyond it was found.
     """
     touches = [p for p in points if p.kind == "grazing"]
-
-    def snap(point: SpecialPoint) -> SpecialPoint:
-        if point.kind != "fold":
-            return point
-        middle = values[point.after]
-        near = values[max(point.after - 1, 0) : point.after + 2]
+    kept = [p for p in points if p.kind != "fold"]
+    smooth = {p.after: p for p in points if p.kind == "fold"}
+    for at in brackets:
+        fold = smooth.get(at)
+        middle, near = values[at], values[max(at - 1, 0) : at + 2]
         way = 1.0 if middle >= near.max() else -1.0
+        extreme = middle if fold is None else fold.parameter
+        corner = None
         for touch in touches:
-            beyond = way * (touch.parameter - point.parameter)
-            if abs(touch.after - point.after) <= 2 and 0 < beyond < SNAP * abs(touch.parameter):
-                return SpecialPoint(
-                    "fold", touch.parameter, touch.amplitude_ratio, 0.0, None, point.after
-                )
-        return point
-
-    return [snap(p) for p in points]
+            beyond = way * (touch.parameter - extreme)
+            size = abs(touch.parameter)
+            if abs(touch.after - at) <= REACH and -1e-9 * size < beyond < SNAP * size:
+                corner = SpecialPoint("fold", touch.parameter, touch.amplitude_ratio, 0.0, None, at)
+        chosen = corner or fold
+        if chosen is not None and not any(
+            p.kind == "fold" and p.parameter == chosen.parameter for p in kept
+        ):
+            kept.append(chosen)
+    return kept

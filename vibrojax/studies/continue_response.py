@@ -1,6 +1,6 @@
 """Branches of periodic responses along the drive frequency or any other number."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from jaxtyping import ArrayLike
@@ -20,8 +20,8 @@ from vibrojax.systems.base import AbstractSystem
 def continue_response(
     system: AbstractSystem | Callable[..., AbstractSystem],
     *,
-    frequency_ratio: ArrayLike | tuple[float, float] | None = None,
-    frequency: ArrayLike | tuple[float, float] | None = None,
+    frequency_ratio: ArrayLike | Sequence[float] | None = None,
+    frequency: ArrayLike | Sequence[float] | None = None,
     period: int = 1,
     tolerance: float = 1e-4,
     method: HarmonicBalance | None = None,

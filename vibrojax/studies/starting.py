@@ -10,7 +10,7 @@ from vibrojax._types import AnyArray
 from vibrojax.response.condensed import cell_average
 from vibrojax.response.paths import AbstractPath
 from vibrojax.response.settling import Settled, settle
-from vibrojax.response.starting import sampled_motion, stepper
+from vibrojax.response.starting import SAMPLES, sampled_motion, stepper
 
 
 @eqx.filter_jit
@@ -51,7 +51,8 @@ def sampled_depth(
     """Spectra of the averaged depths of the motions that start from these states at phase 0."""
 
     def one(path, value, state):
-        depth, _, _ = sampled_motion(path, value, state, period, exact)
+        per_period = max(SAMPLES, 2 * samples // period)
+        depth, _, _ = sampled_motion(path, value, state, period, exact, per_period)
         count = samples // 2 + 1
         # The march is sampled more finely, so nothing folds back into the harmonics kept.
         spectrum = jnp.fft.rfft(depth)[:, :count] * (samples / depth.shape[1])
