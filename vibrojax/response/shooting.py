@@ -89,9 +89,7 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
         )
     else:
         start = frozen(state)
-    rate = still[1] * (
-        2 * jnp.pi if not is_ratio else place_of(*still).equations.angular_frequency[0]
-    )
+    rate = place_of(*still).angular_frequency
     size = jnp.max(jnp.abs(start[:n]) + jnp.abs(start[n:]) / rate)
     size = jnp.where(size > 0, size, 1.0)
     unit = size * jnp.concatenate([jnp.ones(n), jnp.full(n, rate)])
