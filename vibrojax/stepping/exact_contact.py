@@ -78,7 +78,7 @@ def _step_lanes(
     amplitude, rate, start_phase, duration = (
         jnp.broadcast_to(a, lanes) for a in (amplitude, rate, start_phase, duration)
     )
-    state = spread(state, 1, len(lanes))
+    state = jnp.broadcast_to(spread(state, 1, len(lanes)), (state.shape[0], *lanes))
     step = jnp.minimum(longest_step(phases, rate, tolerance, None), duration)
     force = forcing(phases, amplitude, rate, start_phase, step, tolerance / 2)
     loop = ContactLoop(phases, force, observe=False)
