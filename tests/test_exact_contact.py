@@ -118,7 +118,7 @@ def test_batch_equals_loop_and_order_does_not_matter(rig):
     for lane in range(len(w)):
         alone, alone_steps, _ = run(march, start[:, lane], w[lane])
         # Rounding may decide where a step ends, not where the motion goes.
-        assert abs(int(alone_steps) - int(steps[lane])) <= 0.02 * int(steps[lane])
+        assert abs(int(alone_steps) - int(steps[lane])) <= 0.03 * int(steps[lane])
         np.testing.assert_allclose(alone, together[:, lane], atol=1e-12 * size[lane])
 
 
