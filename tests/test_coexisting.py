@@ -17,7 +17,8 @@ def test_refusals(rig):
         vj.coexisting_responses(rig(), frequency_ratio=1.1, gap=1e-3)
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_both_motions_of_the_hysteresis_are_found_and_lie_on_one_branch(rig_branch):
     found = vj.coexisting_responses(vj.default_rig(), frequency_ratio=1.15, starts=24)
     here = rig_branch.resample([1.15])

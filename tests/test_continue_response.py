@@ -174,7 +174,8 @@ def test_new_numbers_do_not_compile_again(rig, rig_branch, resampled):
     assert compiled  # the listener does listen
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_another_number_of_the_rig(rig_branch, along_gap):
     """Branches along the gap and along the frequency meet where both have the same rig."""
     assert along_gap.axis == "gap"
@@ -271,7 +272,8 @@ def rounded(rig):
     return vj.continue_response(rounded_rig(rig()), frequency_ratio=RANGE)
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_rounded_stop_by_harmonic_balance(rounded):
     assert rounded.completed
     assert not rounded.exact
@@ -289,7 +291,8 @@ def test_rounded_stop_by_harmonic_balance(rounded):
     assert (leading[~unstable] < 1).all()
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_rounded_stop_resampled(rounded):
     ratio = [1.0, 1.05, 1.15, 1.2]
     data = rounded.resample(ratio)
@@ -301,7 +304,8 @@ def test_rounded_stop_resampled(rounded):
         assert off.min() < 1e-2
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_start_inside_the_range(rig, rig_branch):
     """From the upper motion at 1.15 the branch is followed both ways."""
     upper = vj.periodic_response(rig(), frequency_ratio=1.15, guess=_upper(rig_branch, 1.15))

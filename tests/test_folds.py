@@ -52,7 +52,8 @@ def function_of(near):
 AT = (0.4e-3, 5500.0, 0.5)
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_folds_and_their_gradients(rig_branch):
     steps = (1e-8, 0.5, 1e-5)
     for fold, expected in zip(folds(rig_branch), (UPPER, LOWER), strict=True):
@@ -74,7 +75,8 @@ def test_forward_and_reverse_gradients_of_a_fold_agree(rig_branch):
     np.testing.assert_allclose(np.array(forward), np.array(reverse), rtol=1e-8)
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_fold_curves_pass_through_the_folds_of_branches():
     bounds = (0.9, 1.4)
     curves = vj.fold_curves(

@@ -101,6 +101,7 @@ def pair(rig):
     return matrices, beam
 
 
+@pytest.mark.slow
 def test_history_of_the_same_beam(pair):
     arguments = {"frequency": 9.8, "periods": 3, "samples_per_period": 32, "gradient": "forward"}
     ours, wanted = (vj.simulate(s, **arguments) for s in pair)

@@ -78,6 +78,7 @@ def test_points_of_the_reference(rig, solved):
     assert (found.contacts_per_period == 1).all()
 
 
+@pytest.mark.slow
 def test_the_guess_chooses_among_motions(rig, solved, rig_branch):
     """At 1.15 there are three: two stable, one between them unstable."""
     solve, _ = solved
@@ -122,7 +123,8 @@ def from_rest(rig):
     return vj.periodic_response(rig(), frequency_ratio=1.05)
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_from_rest(from_rest, solved, tmp_path):
     at = SINGLE["ratio"].tolist().index(1.05)
     assert_reference(from_rest, at)
@@ -141,7 +143,8 @@ def test_from_rest(from_rest, solved, tmp_path):
     assert batch.initial_state.dims == ("lane_0", "state")
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_history_of_the_motion(from_rest):
     history = from_rest.history()
     tip = np.asarray(history.displacement())
@@ -186,7 +189,8 @@ def expected_of(case):
     return value, slopes
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 @pytest.mark.parametrize("case", GRADIENTS[:1], ids=["printed"])
 def test_reverse_gradients_in_a_batch(case):
     """`vmap` of the gradient, the first lane being the reference."""
@@ -206,7 +210,8 @@ def test_reverse_gradients_in_a_batch(case):
     np.testing.assert_allclose(values[2] - values[0], along, rtol=1e-4)
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 @pytest.mark.parametrize("case", GRADIENTS, ids=["printed", "no tension"])
 def test_gradients_in_both_modes(case):
     outputs, theta = outputs_of(case)
@@ -219,7 +224,8 @@ def test_gradients_in_both_modes(case):
     np.testing.assert_allclose(reverse, slopes, rtol=1e-6)
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_gradient_of_a_batch_is_a_batch_of_gradients():
     outputs, theta = outputs_of(GRADIENTS[0])
     lanes = jnp.asarray(theta * np.array([[1.0], [1.0005]]))
@@ -264,7 +270,8 @@ METHODS = {
 }
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_methods_agree(rig, exactly, name):
     method, tolerance, values, slopes = METHODS[name]
@@ -298,7 +305,8 @@ def oscillator_system(stiffness=50.0):
     )
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_period_doubling():
     """The motion of period 1 is unstable between 0.844 and 0.9285; at 0.9275 period 2 is stable."""
     one = oscillator_system()
@@ -323,7 +331,8 @@ def test_period_doubling():
     assert np.abs(once - np.asarray(double.initial_state)).max() > 1e-3
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_without_contact_or_stops_it_is_the_linear_response(rig):
     one = rig()
     equations = one.equations()
