@@ -21,7 +21,6 @@ from vibrojax.response.tracing import in_batches, make_exact, take
 SAMPLES = 16
 """Motions looked at in each round of refinement."""
 ROUNDS = 2
-KINDS = ("fold", "period_doubling", "neimark_sacker", "grazing")
 
 
 class Found(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 from vibrojax.response.balanced_motion import read_all, solve_all
 from vibrojax.response.exact_point import Guess
 from vibrojax.response.tracing import exact_from, make_exact
-from vibrojax.results.branch import Branch, axis_description
+from vibrojax.results.branch import CURVES, Branch, axis_description
 from vibrojax.results.variables import VARIABLES
 from vibrojax.studies.branch_finishing import ratios_of
 from vibrojax.studies.continuation_paths import references
@@ -17,17 +17,7 @@ if TYPE_CHECKING:
     import xarray
 
 CREEPS = 8
-VARIABLES_KEPT = (
-    "amplitude_ratio",
-    "peak_ratio",
-    "rms_ratio",
-    "first_harmonic_ratio",
-    "contact_force",
-    "contact_fraction",
-    "contacts_per_period",
-    "leading_multiplier",
-    "residual",
-)
+"""Tries to close in on a value where the branch is steep."""
 
 
 def resample(branch: Branch, values: Any) -> "xarray.Dataset":
@@ -40,7 +30,7 @@ def resample(branch: Branch, values: Any) -> "xarray.Dataset":
     at, which, first, share = _crossings(branch, values)
     crossings = int(which.max(initial=-1)) + 1
     shape = (len(values), crossings)
-    columns = {name: np.full(shape, np.nan) for name in (*VARIABLES_KEPT, "stable")}
+    columns = {name: np.full(shape, np.nan) for name in (*CURVES, "stable")}
     states = np.full((*shape, branch.initial_state.shape[1]), np.nan)
     if len(at):
         solved = _solve(branch, values[at], first, share)
