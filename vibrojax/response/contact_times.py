@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float, Int
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from vibrojax.drive import AbstractDrive
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks
@@ -254,7 +254,7 @@ def solve_orbit(
     parameter: Float[Array, ""],
     period: int,
     *,
-    hold: bool,
+    hold: bool | Bool[Array, ""],
     iterations: int = 4,
 ) -> Solved:
     """Newton's method on the state at the section, the event times following.
@@ -286,11 +286,9 @@ def solve_orbit(
         )
         moved = course.times
         shifted = matrix - eye[:n, :n]
-        if hold:
-            normal = eye[-1]
-        else:
-            first = jnp.all(normal == 0)
-            normal = jnp.where(first, null_vector(shifted, slope), normal)
+        first = jnp.all(normal == 0)
+        across = jnp.where(hold, eye[-1], null_vector(shifted, slope))
+        normal = jnp.where(first, across, normal)
         bordered = jnp.block([[shifted, slope[:, None]], [normal[None]]])
         change = jnp.linalg.solve(bordered, -jnp.append(end - x, 0.0))
         used = events.stop >= 0

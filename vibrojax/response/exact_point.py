@@ -54,7 +54,7 @@ def exact_point(
     parameter: Float[Array, ""],
     period: int,
     *,
-    hold: bool,
+    hold: bool | Bool[Array, ""],
     iterations: int = 4,
 ) -> tuple[ExactPoint, Course]:
     """Turn a guess into an exact motion.

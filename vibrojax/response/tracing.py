@@ -257,7 +257,7 @@ def exact_from(
                 found,
                 _states_at(here, points.parameter, courses, there, section, period),
             )
-        return _exact(here, guess, at, period, hold)
+        return _exact(here, guess, at, period, jnp.asarray(hold))
 
     best, courses = in_batches(solve, len(lane))
     for _ in range(REPAIRS):

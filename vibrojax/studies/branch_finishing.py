@@ -4,14 +4,15 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.response.balanced_motion import read_all
-from vibrojax.response.exact_point import ExactPoint
+from vibrojax.response.exact_point import ExactPoint, Guess
 from vibrojax.response.paths import AbstractPath
 from vibrojax.response.special_points import Bracket, brackets_of, first_touches, refine
-from vibrojax.response.tracing import Traced, make_exact, take
+from vibrojax.response.tracing import Traced, exact_from, make_exact, take
 from vibrojax.results.branch import Branch, SpecialPoint
 from vibrojax.studies.continuation_paths import references
 from vibrojax.studies.continuation_plan import Plan
@@ -171,6 +172,8 @@ def _read(
     if not plan.exact:
         return balanced(np.arange(len(lane)))
     point = make_exact(paths, lane, depth, parameter, period=plan.period)
+    for way in (-1, 1):
+        point = _from_neighbours(plan, paths, lane, parameter, point, way)
     found = point.reading._asdict() | {
         "parameter": point.parameter,
         "multipliers": point.multipliers,
@@ -184,6 +187,36 @@ def _read(
         for name, values in balanced(failed).items():
             columns[name][failed] = values
     return columns
+
+
+def _from_neighbours(
+    plan: Plan,
+    paths: AbstractPath,
+    lane: np.ndarray,
+    parameter: np.ndarray,
+    point: ExactPoint,
+    way: int,
+) -> ExactPoint:
+    """Find what was not found from the point before or after it, at its own parameter.
+
+    Next to a touch the sampled motion can have a contact too many or too few.
+    """
+    failed = np.flatnonzero(~point.valid)
+    near = np.clip(failed + way, 0, len(lane) - 1)
+    usable = point.valid[near] & (lane[near] == lane[failed])
+    failed, near = failed[usable], near[usable]
+    if not len(failed):
+        return point
+    guess = Guess(*take((point.events, point.orbit), near), np.ones(len(near), bool))
+    again = exact_from(paths, lane[failed], guess, parameter[failed], period=plan.period, hold=True)
+    found = again.valid
+
+    def put(a, b):
+        a = np.array(a)
+        a[failed[found]] = b[found]
+        return a
+
+    return jax.tree.map(put, point, again)
 
 
 def _same_size(depths: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
