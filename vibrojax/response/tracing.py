@@ -86,11 +86,11 @@ def trace_branches(
     period: int = 1,
     harmonics: int | None = None,
     max_points: int = 2000,
-    progress=None,
+    widths: tuple[int, ...] = WIDTHS,
 ) -> list[Traced]:
     """Follow the branch of every lane; lanes that end make room for those that wait."""
     lanes = start.parameter.shape[0]
-    width = next((w for w in WIDTHS if w >= lanes), WIDTHS[-1])
+    width = next((w for w in widths if w >= lanes), widths[-1])
     waiting = list(range(lanes))
     places: list[int | None] = [None] * width
     found: dict[int, list] = {lane: [] for lane in range(lanes)}
@@ -133,8 +133,6 @@ def trace_branches(
                     stopped = np.array(trace.status)
                     stopped[place] = Ending.stuck.value
                     trace = trace._replace(status=stopped)
-                if progress is not None:
-                    progress()
     return [done[lane] for lane in range(lanes)]
 
 

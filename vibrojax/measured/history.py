@@ -1,0 +1,323 @@
+"""A measured time history: displacement, velocity, acceleration or contact force over time."""
+
+import dataclasses
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax._checks import (
+    check_choice,
+    check_position,
+    check_positive,
+    check_range,
+    nearest,
+)
+from vibrojax.measured.curve import FRAMES, check_parameters
+from vibrojax.measured.scatter import (
+    ASSUMED_LEVEL,
+    FEWEST_POINTS,
+    LOWEST_LEVEL,
+    interpolation_residuals,
+    spread,
+)
+from vibrojax.measured.tables import (
+    column_unit,
+    match_columns,
+    numbers,
+    read_table,
+    unusable,
+)
+from vibrojax.measured.units import UNITS
+
+CHANNELS = {
+    "displacement": "m",
+    "velocity": "m/s",
+    "acceleration": "m/s2",
+    "contact_force": "N",
+}
+_FEWEST_SAMPLES = 2
+_PATTERNS = {
+    "time": "time|t",
+    "displacement": "(?:tip|beam)?(?:displacement|disp)|tip|y",
+    "velocity": "(?:tip|beam)?(?:velocity|vel)",
+    "acceleration": "(?:tip|beam)?(?:acceleration|accel|acc)",
+    "contact_force": "(?:contact|impact)?force",
+}
+
+
+class HistoryNoise(NamedTuple):
+    """Standard deviation of every channel, and what was assumed to get it."""
+
+    deviation: dict[str, float]
+    """In the SI unit of the channel."""
+    sentence: str | None
+    """None when all of them were given."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasuredHistory:
+    """Measured signals over time; arrays have the shape (samples,).
+
+    Raises `ValueError` when no signal or no drive frequency or release is there, lengths differ, a
+    value is not finite, time does not rise, or a number or name is not one of those allowed.
+    """
+
+    time: np.ndarray
+    """s, rising; intervals need not be equal."""
+    displacement: np.ndarray | None = None
+    """m."""
+    velocity: np.ndarray | None = None
+    """m/s."""
+    acceleration: np.ndarray | None = None
+    """m/s2."""
+    contact_force: np.ndarray | None = None
+    """N, of all stops together."""
+    deviation: dict[str, float] = field(default_factory=dict)
+    """Standard deviation by channel, in its unit; channels left out are estimated by `noise`."""
+    frequency: float | None = None
+    """Drive frequency, Hz."""
+    frequency_ratio: float | None = None
+    """Drive frequency over the first natural one, when it is known so."""
+    release: float | None = None
+    """Displacement of the tip (m) from which the beam is let go at rest; it needs no drive."""
+    position: float | None = None
+    """Place s = x/L of the sensor; None: where the system reports, the tip of a beam."""
+    frame: str = "relative"
+    """`relative` to the moving base, or `absolute`, as an accelerometer on the beam measures."""
+    window: tuple[float, float] | None = None
+    """Start and end (s) of the samples that count; None: all of them."""
+    align_phase: bool = True
+    """Whether an unknown constant may shift the time axis."""
+    settled: bool = True
+    """Whether the motion is steady; one that was let go (`release`) never is."""
+    parameters: dict[str, float] = field(default_factory=dict)
+    """Arguments of the user's rig function that hold for this history."""
+    label: str = ""
+    notes: tuple[str, ...] = ()
+    """What was assumed or left out on the way."""
+
+    def __post_init__(self) -> None:
+        """Bring the arrays into form and refuse what is not a measured history."""
+        check_choice("frame", self.frame, FRAMES)
+        self._check_arrays()
+        if self.frequency is not None and self.frequency_ratio is not None:
+            raise ValueError("Give frequency (Hz) or frequency_ratio, not both.")
+        if self.frequency is None and self.frequency_ratio is None and self.release is None:
+            raise ValueError(
+                "Give the drive's frequency (Hz) or frequency_ratio, or the release (m) from which "
+                "the beam was let go."
+            )
+        for name, unit in (("frequency", "Hz"), ("frequency_ratio", "(ratio)")):
+            if getattr(self, name) is not None:
+                check_positive(name, getattr(self, name), unit)
+        if self.release is not None:
+            check_range("release", self.release, allowed="a finite displacement in m")
+            object.__setattr__(self, "settled", False)
+        if self.position is not None:
+            check_position("position", self.position)
+        for name, value in self.deviation.items():
+            if name not in self.channels:
+                raise ValueError(
+                    f"deviation: there is no channel {name!r}. {nearest(name, self.channels)}"
+                )
+            check_positive(f"deviation of {name}", value, CHANNELS[name])
+        if self.window is not None:
+            start, end = self.window
+            inside = int(np.sum(self._inside()))
+            if inside < _FEWEST_SAMPLES:
+                raise ValueError(
+                    f"window must be a start and a later end (s) with at least {_FEWEST_SAMPLES} "
+                    f"samples between, got ({start:g}, {end:g}) with {inside}; time runs from "
+                    f"{self.time[0]:g} to {self.time[-1]:g} s."
+                )
+        object.__setattr__(self, "parameters", check_parameters(self.parameters))
+        object.__setattr__(self, "notes", tuple(self.notes))
+
+    def _check_arrays(self) -> None:
+        for name in ("time", *CHANNELS):
+            if getattr(self, name) is None:
+                continue
+            try:
+                values = np.array(getattr(self, name), dtype=float)
+            except (TypeError, ValueError):
+                raise ValueError(f"{name} must be a sequence of numbers.") from None
+            if values.ndim != 1 or len(values) < _FEWEST_SAMPLES:
+                raise ValueError(
+                    f"{name} must have one dimension and at least {_FEWEST_SAMPLES} samples, got "
+                    f"an array of shape {values.shape}."
+                )
+            object.__setattr__(self, name, values)
+            if len(values) != len(self.time):
+                raise ValueError(f"{name} has {len(values)} samples, time has {len(self.time)}.")
+            if not np.isfinite(values).all():
+                bad = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise ValueError(f"{name} must be finite, got {values[bad]} at index {bad}.")
+        if not self.channels:
+            raise ValueError(f"Give at least one of {', '.join(CHANNELS)}.")
+        if (np.diff(self.time) <= 0).any():
+            bad = int(np.flatnonzero(np.diff(self.time) <= 0)[0])
+            raise ValueError(
+                f"time must rise, got {self.time[bad]:g} s then {self.time[bad + 1]:g} s at index "
+                f"{bad + 1}. Sort the samples, and leave out those that are there twice."
+            )
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return len(self.time)
+
+    @property
+    def channels(self) -> dict[str, Float[np.ndarray, " samples"]]:
+        """The signals that were measured, by name."""
+        return {n: getattr(self, n) for n in CHANNELS if getattr(self, n) is not None}
+
+    def _inside(self) -> np.ndarray:
+        if self.window is None:
+            return np.ones(self.size, dtype=bool)
+        start, end = self.window
+        return (self.time >= start) & (self.time <= end)
+
+    def windowed(self) -> "MeasuredHistory":
+        """Return the history of the samples that count; times stay as they are."""
+        inside = self._inside()
+        parts = {name: values[inside] for name, values in self.channels.items()}
+        return dataclasses.replace(self, time=self.time[inside], **parts)
+
+    def noise(self) -> HistoryNoise:
+        """Return the standard deviation of every channel: as given, or estimated from the scatter.
+
+        Estimated: how far samples that count lie off the cubic through the four next to them
+        (robust), and at least 0.2 % of the largest value; 2 % of it for fewer than 8 samples.
+        """
+        inside = self._inside()
+        found, estimated = {}, []
+        for name, values in self.channels.items():
+            if name in self.deviation:
+                found[name] = float(self.deviation[name])
+                continue
+            largest = float(np.max(np.abs(values[inside]))) or 1.0
+            residuals = interpolation_residuals(self.time[inside], values[inside], 2)
+            if np.sum(inside) < FEWEST_POINTS:
+                found[name] = ASSUMED_LEVEL * largest
+                why = f"2 % of the largest value, as {np.sum(inside)} samples are too few"
+            else:
+                found[name] = max(spread(residuals), LOWEST_LEVEL * largest)
+                why = "from the scatter of neighbouring samples"
+            estimated.append(f"{name} {found[name]:.3g} {CHANNELS[name]} ({why})")
+        text = f"Standard deviations are assumed: {', '.join(estimated)}." if estimated else None
+        return HistoryNoise(found, text)
+
+    def __repr__(self) -> str:
+        named = f"{self.label!r}, " if self.label else ""
+        lines = [
+            f"MeasuredHistory({named}{self.size} samples, {self.time[0]:.6g} to "
+            f"{self.time[-1]:.6g} s)"
+        ]
+        if self.window is not None:
+            counted = int(np.sum(self._inside()))
+            lines.append(f"  window {self.window[0]:g} to {self.window[1]:g} s: {counted} samples")
+        for name, values in self.channels.items():
+            given = self.deviation.get(name)
+            told = "not given" if given is None else f"{given:g}"
+            lines.append(
+                f"  {name} {np.min(values):.5g} to {np.max(values):.5g} {CHANNELS[name]}, "
+                f"deviation {told}"
+            )
+        place = "where the system reports" if self.position is None else f"s = {self.position:g}"
+        lines.append(f"  measured {place}, {self.frame}")
+        drives = {"frequency": " Hz", "frequency_ratio": "", "release": " m"}
+        told = [f"{n} {getattr(self, n):g}{u}" for n, u in drives.items() if getattr(self, n)]
+        lines.append(f"  {', '.join([*told, 'settled' if self.settled else 'transient'])}")
+        if self.parameters:
+            lines.append("  " + ", ".join(f"{k} = {v:g}" for k, v in self.parameters.items()))
+        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+
+def read_measured_history(
+    source: Any,
+    *,
+    columns: Mapping[str, str | int | None] | None = None,
+    units: Mapping[str, str] | None = None,
+    deviation: Mapping[str, float] | None = None,
+    frequency: float | None = None,
+    frequency_ratio: float | None = None,
+    release: float | None = None,
+    position: float | None = None,
+    frame: str | None = None,
+    window: tuple[float, float] | None = None,
+    align_phase: bool = True,
+    settled: bool = True,
+    parameters: Mapping[str, float] | None = None,
+    skip_unusable: bool = True,
+) -> MeasuredHistory:
+    """Read a measured time history.
+
+        history = read_measured_history("tip.csv", units=dict(displacement="mm"), frequency=12.5)
+
+    `source`, `columns`, `units` and `skip_unusable` are as for `read_measured_curve`, for the
+    columns `time`, `displacement`, `velocity`, `acceleration` and `contact_force`; time is in s
+    where nothing says otherwise. The other arguments are fields of `MeasuredHistory`.
+
+    Raises `ValueError` when the source cannot be read, a column or unit is missing, ambiguous or
+    unknown, or what is read is not a measured history.
+    """
+    named = isinstance(source, str | os.PathLike)
+    label = os.fspath(source) if named else type(source).__name__
+    try:
+        table = read_table(source, (columns or {}).values(), along="time")
+        found = match_columns(table, _PATTERNS, columns)
+        notes = list(table.notes)
+        there = f"Columns there are: {', '.join(map(repr, table.columns))}."
+        if "time" not in found or len(found) < 2:
+            lacking = "time" if "time" not in found else "displacement"
+            raise ValueError(
+                f"No column for the {lacking}{' or another signal' * (lacking != 'time')}. "
+                f"{there} Name it: columns=dict({lacking}={next(iter(table.columns))!r})."
+            )
+        units = dict(units or {})
+        for name in units:
+            if name not in _PATTERNS:
+                raise ValueError(f"units: unknown key {name!r}. {nearest(str(name), _PATTERNS)}")
+        reasons: dict[int, str] = {}
+        values = {}
+        for key, column in found.items():
+            kind = {"contact_force": "force"}.get(key, key)
+            unit = column_unit(table, key, column, units, [kind])
+            if unit is None and key == "time":
+                unit = "s"
+                notes.append("Time was taken to be in s.")
+            if unit is None:
+                raise ValueError(
+                    f"Column {column!r} says no unit of the {key}. "
+                    f"Give it: units=dict({key}={CHANNELS[key]!r})."
+                )
+            values[key] = numbers(table.columns[column], key, reasons) * UNITS[unit].factor
+        keep, left_out = unusable(table, reasons, skip_unusable)
+        if left_out:
+            notes.append(left_out)
+        if frame is None and "acceleration" in values:
+            notes.append(
+                "The acceleration was taken to be relative to the base: give frame='absolute' for "
+                "an accelerometer on the beam."
+            )
+        return MeasuredHistory(
+            **{key: column[keep] for key, column in values.items()},
+            deviation=dict(deviation or {}),
+            frequency=frequency,
+            frequency_ratio=frequency_ratio,
+            release=release,
+            position=position,
+            frame=frame or "relative",
+            window=window,
+            align_phase=align_phase,
+            settled=settled,
+            parameters=check_parameters(parameters or {}),
+            label=table.label,
+            notes=tuple(notes),
+        )
+    except ValueError as error:
+        raise ValueError(f"Measured history from {label!r}: {error}") from None
