@@ -15,6 +15,11 @@ from vibrojax.drive import Chirp as Chirp
 from vibrojax.drive import Harmonic as Harmonic
 from vibrojax.drive import NoDrive as NoDrive
 from vibrojax.drive import PointForce as PointForce
+from vibrojax.measured.curve import MeasuredCurve as MeasuredCurve
+from vibrojax.measured.curve import MeasuredCurves as MeasuredCurves
+from vibrojax.measured.history import MeasuredHistory as MeasuredHistory
+from vibrojax.measured.reading import read_measured_curve as read_measured_curve
+from vibrojax.measured.history import read_measured_history as read_measured_history
 from vibrojax.modes import Modes as Modes
 from vibrojax.modes import modes as modes
 from vibrojax.response.folds import Fold as Fold
@@ -32,6 +37,7 @@ from vibrojax.results.fold_curves import FoldCurve as FoldCurve
 from vibrojax.results.fold_curves import FoldCurves as FoldCurves
 from vibrojax.results.frequency_response import FrequencyResponse as FrequencyResponse
 from vibrojax.results.history import History as History
+from vibrojax.results.identification import Identification as Identification
 from vibrojax.results.periodic_response import PeriodicResponse as PeriodicResponse
 from vibrojax.results.resolution import ResolutionCheck as ResolutionCheck
 from vibrojax.results.single_contact_response import (
@@ -47,6 +53,12 @@ from vibrojax.studies.coexisting import coexisting_responses as coexisting_respo
 from vibrojax.studies.continue_response import continue_response as continue_response
 from vibrojax.studies.fold_curves import fold_curves as fold_curves
 from vibrojax.studies.frequency_sweep import frequency_sweep as frequency_sweep
+from vibrojax.studies.identification.least_squares import (
+    LevenbergMarquardt as LevenbergMarquardt,
+)
+from vibrojax.studies.identification.least_squares import Optax as Optax
+from vibrojax.studies.identify import identify as identify
+from vibrojax.studies.identify import identify_each as identify_each
 from vibrojax.studies.resolution import check_resolution as check_resolution
 from vibrojax.studies.single_contact import single_contact_response as single_contact_response
 from vibrojax.systems.base import AbstractEquations as AbstractEquations

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from vibrojax.response.condensed import (
     balance,
@@ -24,12 +24,11 @@ from vibrojax.response.sensor import Sensor, observe
 
 lax = jax.lax
 
-ROUNDS = 6
 LONGEST = 0.05
 """Longest step along the curve in one round, in the arclength of the continuation."""
 CONVERGED = 1e-5
 """Newton correction, over the size of the motion, at which a point is on the curve."""
-CLOSE = 1e-7
+CLOSE = 1e-6
 """Steps at which no further round is needed; what is left is their square."""
 
 
@@ -45,6 +44,8 @@ class Target(NamedTuple):
 class Nearest(NamedTuple):
     """The nearest point of a curve."""
 
+    settled: Bool[Array, "..."]
+    """Whether further rounds would not move it."""
     found: Bool[Array, "..."]
     """Whether it is on the curve; else the guess itself stands here."""
     frequency: Float[Array, "..."]
@@ -60,6 +61,7 @@ class _Round(NamedTuple):
 
     newton: Float[Array, " points"]
     way: Float[Array, " points"]
+    step: Float[Array, " points"]
     found: Bool[Array, " points"]
     frequency: Float[Array, " points"]
     channels: Float[Array, "points channels"]
@@ -77,12 +79,13 @@ def nearest_points(
     *,
     scale: float,
     capacity: int,
+    rounds: int | Int[Array, ""],
 ) -> Nearest:
     """Find the nearest points of many curves from guesses on them.
 
     `slopes` holds the derivatives of the paths, with the numbers sought as the second axis; `scale`
     is the change of frequency that counts as much as a motion changing by its size, `capacity`
-    the number of samples that may be in contact.
+    the number of samples that may be in contact, `rounds` the most that are gone through.
     """
     samples = 2 * (depth.shape[-1] - 1)
     number = jax.tree.leaves(slopes)[0].shape[1]
@@ -111,7 +114,7 @@ def nearest_points(
         right = -jnp.concatenate([residual[None], by_way])
         return place, problem, here, right, channels, seen
 
-    def advance(target, depth, frequency, place, problem, here, solved, channels, seen):
+    def advance(target, depth, frequency, last, place, problem, here, solved, channels, seen):
         correction, direction, by_numbers = solved[0], solved[1], solved[2:]
         size2 = dot(depth, depth)
         length2 = dot(direction, direction) / size2 + 1 / scale**2
@@ -146,7 +149,10 @@ def nearest_points(
         line = lines[-1]
         way = (residual - lines[0]) @ line / (line @ line)
         newton = jnp.sqrt(dot(across[0], across[0]) / size2 + (shifts[0] / scale) ** 2)
-        step = jnp.clip(way, -LONGEST, LONGEST)
+        # The curve bends, so a step falls short or goes too far by the same share as the last one.
+        share = last.step / (last.way - way)
+        share = jnp.where((share > 0.3) & (share < 4.0), share, 1.0)
+        step = jnp.clip(way * share, -LONGEST, LONGEST)
         normal = line / jnp.linalg.norm(line)
         derivative = -lines[1:-1].T
         derivative = derivative - normal[:, None] * (normal @ derivative)
@@ -154,7 +160,8 @@ def nearest_points(
             depth + across[0] + step * changes[-1],
             frequency + shifts[0] + step * unit,
             newton,
-            jnp.abs(way),
+            way,
+            step,
             residual,
             derivative,
         )
@@ -162,7 +169,7 @@ def nearest_points(
     def turn(carry):
         k, depth, frequency, last = carry[:4]
         # In the last round what did not get there goes back to its guess.
-        lost = (k == ROUNDS) & ~(last.newton < CONVERGED)
+        lost = (k == rounds) & ~(last.newton < CONVERGED)
         depth = jnp.where(lost[:, None, None], guess[0], depth)
         frequency = jnp.where(lost, guess[1], frequency)
         place, problem, here, right, channels, seen = jax.vmap(linearise)(
@@ -170,16 +177,16 @@ def nearest_points(
         )
         solve = jax.vmap(lambda p, a, r: solve_condensed(p, a, r, samples, capacity))
         solved = solve(problem, here, right)
-        depth, next_frequency, newton, way, residual, derivative = jax.vmap(advance)(
-            target, depth, frequency, place, problem, here, solved, channels, seen
+        depth, next_frequency, newton, way, step, residual, derivative = jax.vmap(advance)(
+            target, depth, frequency, last, place, problem, here, solved, channels, seen
         )
-        there = _Round(newton, way, ~lost, frequency, channels, residual, derivative)
+        there = _Round(newton, way, step, ~lost, frequency, channels, residual, derivative)
         return k + 1, depth, next_frequency, there
 
     def unfinished(carry):
         k, last = carry[0], carry[3]
-        near = (last.newton < CLOSE) & (last.way < CLOSE)
-        return (k <= ROUNDS) & ~jnp.all(near)
+        near = (last.newton < CLOSE) & (jnp.abs(last.way) < CLOSE)
+        return (k <= rounds) & ~jnp.all(near)
 
     points, size = frequency.shape[0], 1 + sensor.channels
     guess = (depth, frequency)
@@ -187,6 +194,7 @@ def nearest_points(
     first = _Round(
         newton=far,
         way=far,
+        step=jnp.zeros(points),
         found=jnp.zeros(points, bool),
         frequency=frequency,
         channels=jnp.zeros((points, sensor.channels)),
@@ -194,4 +202,5 @@ def nearest_points(
         derivative=jnp.zeros((points, size, number)),
     )
     *_, last = lax.while_loop(unfinished, turn, (0, depth, frequency, first))
-    return Nearest(*last[2:])
+    near = (last.newton < CLOSE) & (jnp.abs(last.way) < CLOSE)
+    return Nearest(near, *last[3:])

@@ -94,7 +94,6 @@ def _largest_force(place: Place, motion: Complex[Array, "stops harmonics"], per_
     value, change = jnp.fft.irfft(jnp.stack([motion, slope]), finer)
     per_second = 4 * FINER * per_second
     forces = [
-        stop.force(value[a], change[a] * per_second)
-        for a, stop in enumerate(place.equations.stops)
+        stop.force(value[a], change[a] * per_second) for a, stop in enumerate(place.equations.stops)
     ]
     return jnp.max(jnp.stack(forces))

@@ -1,6 +1,6 @@
 """Distance of measured points from the response curves of many trial rigs at once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,6 +22,13 @@ WIDTHS = (8,)
 MOST_POINTS = 300
 MARGIN = 0.02
 """How far beyond the measured frequencies a curve is followed, relative."""
+FEW_ROUNDS, MANY_ROUNDS = 4, 30
+CLOSE = 0.5
+"""Distance, in standard deviations, by which a polygon may mistake the nearest place."""
+HELD = 1e-7
+"""Frequency scale that keeps a point at its frequency."""
+FAR_AWAY = 1e6
+"""A gap that is never closed, m."""
 LOST = 1e3
 """Residual of every point of a rig without a curve, in standard deviations."""
 
@@ -35,6 +42,23 @@ class Curve(NamedTuple):
     breaks: np.ndarray
     """Whether the next point continues this one."""
     completed: bool
+
+    def turning(self, direction: int) -> np.ndarray:
+        """Whether each point is a fold at which a sweep in this direction (1 or -1) jumps."""
+        before, after = np.roll(self.frequency, 1), np.roll(self.frequency, -1)
+        joined = self.breaks & np.roll(self.breaks, 1)
+        beyond = direction * (self.frequency - np.stack([before, after]))
+        return joined & np.all(beyond > 0, axis=0)
+
+    @property
+    def unstable(self) -> np.ndarray:
+        """Whether each point lies on the way back between two folds."""
+        if len(self.frequency) < 2:
+            return np.zeros(len(self.frequency), bool)
+        change = np.append(np.diff(self.frequency), 0.0)
+        change[~self.breaks] = np.append(0.0, change)[:-1][~self.breaks]
+        forth = np.sign(self.frequency[-1] - self.frequency[0])
+        return change * forth < 0
 
 
 class Lanes(NamedTuple):
@@ -74,7 +98,27 @@ def _observe(paths, sensor, depth, frequency):
     return jax.vmap(one)(paths, depth, frequency)
 
 
-_nearest = eqx.filter_jit(nearest_points)
+@eqx.filter_jit
+def _observe_free(paths, slopes, sensor, frequency):
+    def one(path, slopes, frequency):
+        def channels(path):
+            place = Place(path.equations, path.drive, frequency * path.unit)
+            w = place.angular_frequency
+            problem = condensed_problem(place.equations, place.drive, w, samples=SAMPLES)
+            depth = problem.drive
+            return observe(sensor, place, problem, jnp.zeros_like(depth), depth, 1)
+
+        value, linear = jax.linearize(channels, path)
+        return value, jax.vmap(linear)(slopes).T
+
+    return jax.vmap(one)(paths, slopes, frequency)
+
+
+def _gaps(path: FrequencyPath) -> list[Any]:
+    return [stop.gap for stop in path.equations.stops]
+
+
+find_nearest = eqx.filter_jit(nearest_points)
 
 
 @eqx.filter_jit
@@ -83,8 +127,28 @@ def _free_and_touching(paths, frequency):
     return depth, jnp.any(jnp.fft.irfft(depth, SAMPLES) > 0, axis=(1, 2))
 
 
+def _both(amplitude: np.ndarray | None, force: np.ndarray | None) -> np.ndarray:
+    return np.stack([c for c in (amplitude, force) if c is not None], axis=1)
+
+
+def _filled_up(lanes: int) -> np.ndarray:
+    """Index of the lanes, the last one repeated up to a full width: one kernel for all numbers."""
+    width = WIDTHS[-1]
+    return np.minimum(np.arange(-(-lanes // width) * width), lanes - 1)
+
+
+def _put(whole, at, part):
+    whole = np.array(whole)
+    whole[at] = part
+    return whole
+
+
 class CurveMisfit:
-    """Misfit of one measured curve, as a function of the numbers of the user's function."""
+    """Misfit of a measured curve, as a function of the numbers of the user's function.
+
+    Several repetitions of one measurement, of the same number of points, can be fitted side by
+    side: every lane says which one it is compared with.
+    """
 
     def __init__(
         self,
@@ -92,43 +156,58 @@ class CurveMisfit:
         names: tuple[str, ...],
         fixed: dict[str, float],
         static: dict[str, Any],
-        measured: MeasuredCurve,
+        repetitions: Sequence[MeasuredCurve],
+        unit: float = 1.0,
+        objective: str = "distance",
     ):
+        first = repetitions[0]
         self.make, self.names, self.fixed, self.static = make, names, fixed, static
-        self.measured = measured
+        self.objective = objective
+        self.unit = unit
+        """Frequency that a frequency scale refers to: the first natural one, or 1 for ratios."""
         self.sensor = Sensor(
-            quantity=measured.quantity if measured.amplitude is not None else None,
-            signal=measured.signal,
-            is_ratio=measured.is_ratio,
-            absolute=measured.frame == "absolute",
-            with_force=measured.contact_force is not None,
+            quantity=first.quantity if first.amplitude is not None else None,
+            signal=first.signal,
+            is_ratio=first.is_ratio,
+            absolute=first.frame == "absolute",
+            with_force=first.contact_force is not None,
         )
-        self.is_ratio = measured.frequency_name == "frequency_ratio"
-        given = (measured.amplitude, measured.contact_force)
-        self.channels = np.stack([c for c in given if c is not None], axis=1)
-        self.deviation = np.ones_like(self.channels)
-        self.low = float(measured.frequency.min()) * (1 - MARGIN)
-        self.high = float(measured.frequency.max()) * (1 + MARGIN)
-        self.unit = 1.0
-        """Frequency that a relative frequency scale refers to."""
+        self.is_ratio = first.frequency_name == "frequency_ratio"
+        self.frequency = np.stack([m.frequency for m in repetitions])
+        self.direction = np.stack([m.direction for m in repetitions])
+        self.channels = np.stack([_both(m.amplitude, m.contact_force) for m in repetitions])
+        noise = [m.noise() for m in repetitions]
+        self.deviation = np.stack([_both(n.amplitude, n.contact_force) for n in noise])
+        self.low = float(self.frequency.min()) * (1 - MARGIN)
+        self.high = float(self.frequency.max()) * (1 + MARGIN)
+
+    @property
+    def points(self) -> int:
+        """How many points were measured."""
+        return self.frequency.shape[1]
 
     @property
     def size(self) -> int:
         """How many residuals there are."""
-        return len(self.channels) * (1 + self.sensor.channels)
+        return self.points * (1 + self.sensor.channels)
+
+    @property
+    def scale(self) -> float:
+        """Change of frequency that counts as much as a motion changing by its size."""
+        return min(self.unit, (self.high - self.low) / 0.5)
 
     def lanes(self, values: np.ndarray) -> Lanes:
         """Make the trial rigs with these numbers (lanes by names)."""
-        fixed = {n: jnp.full(len(values), v) for n, v in self.fixed.items()}
-        made = _lanes(
-            self.make, self.names, self.static, self.is_ratio, jnp.asarray(values), fixed
-        )
-        return Lanes(*jax.device_get(made))
+        index = _filled_up(len(values))
+        fixed = {n: jnp.full(len(index), v) for n, v in self.fixed.items()}
+        numbers = jnp.asarray(values[index])
+        made = _lanes(self.make, self.names, self.static, self.is_ratio, numbers, fixed)
+        return take(Lanes(*jax.device_get(made)), slice(len(values)))
 
     def curves(self, paths: FrequencyPath) -> list[Curve]:
         """Follow the response curves of all rigs over the measured range."""
         lanes = paths.unit.shape[0]
-        padded = take(paths, np.minimum(np.arange(-(-lanes // 8) * 8), lanes - 1))
+        padded = take(paths, _filled_up(lanes))
         ends = [np.full(padded.unit.shape[0], end) for end in (self.low, self.high)]
         free = [jax.device_get(_free_and_touching(padded, end)) for end in ends]
         # A curve is begun where there is no contact yet.
@@ -151,7 +230,6 @@ class CurveMisfit:
         start = np.where(from_high, self.high, self.low)
         choose = from_high[:, None, None]
         guess = np.where(choose, free[1][0][:lanes], free[0][0][:lanes])
-        scale = (self.high - self.low) / 0.5
         settings = Settings(
             start=start,
             low=self.low * ones,
@@ -161,7 +239,6 @@ class CurveMisfit:
             tolerance=np.asarray(1e-4),
             longest=np.asarray(0.08),
         )
-        del scale
         return trace_branches(
             paths,
             settings,
@@ -171,11 +248,6 @@ class CurveMisfit:
             widths=WIDTHS,
         )
 
-    @property
-    def scale(self) -> float:
-        """Change of frequency that counts as much as a motion changing by its size."""
-        return min(self.unit, (self.high - self.low) / 0.5)
-
     def _seen(
         self, paths: FrequencyPath, found: list[Traced], others: list[Traced | None]
     ) -> list[Curve]:
@@ -183,7 +255,7 @@ class CurveMisfit:
         counts = [sum(len(t.parameter) for t in part) for part in parts]
         lane = np.repeat(np.arange(len(parts)), counts)
         if not len(lane):
-            nothing = np.zeros(0)
+            nothing = np.zeros(0, bool)
             empty = np.zeros((0, self.sensor.channels))
             return [Curve(nothing, empty, nothing, nothing, False) for _ in parts]
         frequency = np.concatenate([t.parameter for part in parts for t in part])
@@ -203,78 +275,173 @@ class CurveMisfit:
         return curves
 
     def nearest(
-        self, lanes: Lanes, curves: list[Curve], frequency_scale: float
+        self,
+        lanes: Lanes,
+        curves: list[Curve],
+        which: np.ndarray,
+        frequency_scale: float,
+        precisely: bool,
     ) -> tuple[np.ndarray, Nearest | None]:
         """Find the nearest points; which rigs have a curve, and the points of those, in a row."""
-        usable = np.array([len(c.frequency) > 1 for c in curves])
+        usable = np.array([c.breaks.any() for c in curves])
         have = np.flatnonzero(usable)
         if not len(have):
             return usable, None
-        starts = [self._guess(curves[k], frequency_scale) for k in have]
-        lane = np.repeat(have, len(self.channels))
-        depth = np.concatenate([s[0] for s in starts])
-        frequency = np.concatenate([s[1] for s in starts])
-        point = np.tile(np.arange(len(self.channels)), len(have))
+        which = np.asarray(which)
+        starts = [self._guesses(curves[k], which[k], frequency_scale) for k in have]
+        lane = np.concatenate([np.full(len(s[0]), k) for k, s in zip(have, starts, strict=True)])
+        point, depth, frequency = (np.concatenate(part) for part in zip(*starts, strict=True))
+        samples = np.fft.irfft(depth, SAMPLES)
+        most = int(np.max(np.sum(samples > -np.ptp(samples, axis=-1, keepdims=True) / 50, (1, 2))))
+        capacity = next(c for c in (32, 64, 1 << 30) if c > most)
+        capacity = min(capacity, samples.shape[1] * SAMPLES)
+        row = which[lane], point
+        anywhere = self.objective == "distance"
         target = Target(
-            self.measured.frequency,
-            self.channels,
-            np.full(len(self.channels), frequency_scale * self.unit),
-            self.deviation,
+            self.frequency[row],
+            self.channels[row],
+            np.full(len(lane), self.unit * (frequency_scale if anywhere else HELD)),
+            self.deviation[row],
         )
 
-        def find(i):
-            return _nearest(
+        def find(i, rounds=FEW_ROUNDS):
+            return find_nearest(
                 take(lanes.paths, lane[i]),
                 take(lanes.slopes, lane[i]),
-                Target(*(t[point[i]] for t in target)),
+                take(target, i),
                 depth[i],
                 frequency[i],
                 self.sensor,
                 scale=self.scale,
-                capacity=64,
+                capacity=capacity,
+                rounds=jnp.asarray(rounds),
             )
 
-        return usable, in_batches(find, len(lane))
+        nearest = in_batches(find, len(lane))
+        # The few that creep, next to folds, go on by themselves.
+        slow = np.flatnonzero(~(nearest.settled if precisely else nearest.found))
+        if len(slow):
+            again = in_batches(lambda i: find(slow[i], MANY_ROUNDS), len(slow))
+            nearest = jax.tree.map(lambda a, b: _put(a, slow, b), nearest, again)
+        # Of several guesses the one that came nearest.
+        row = np.searchsorted(have, lane) * self.points + point
+        order = np.lexsort((np.sum(nearest.residual**2, axis=1), row))
+        _, first = np.unique(row[order], return_index=True)
+        return usable, take(nearest, order[first])
 
-    def _guess(self, curve: Curve, frequency_scale: float) -> tuple[np.ndarray, np.ndarray]:
-        """Nearest places of the traced polygon to the measured points."""
+    def _guesses(
+        self, curve: Curve, which: int, frequency_scale: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nearest places of the traced polygon: index of the measured point, motion, frequency.
+
+        Where two places are about as near there are two guesses.
+        """
         size = frequency_scale * self.unit
         start = np.flatnonzero(curve.breaks)
-        if not len(start):
-            start = np.array([0])
-        end = np.minimum(start + 1, len(curve.frequency) - 1)
         whole = np.concatenate([curve.frequency[:, None], curve.channels], axis=1)
-        scale = np.concatenate([np.full((len(self.channels), 1), size), self.deviation], axis=1)
-        wanted = np.concatenate([self.measured.frequency[:, None], self.channels], axis=1)
+        if self.objective != "distance":
+            return self._branch_ends(curve, which)
+        channels, deviation = self.channels[which], self.deviation[which]
+        scale = np.concatenate([np.full((self.points, 1), size), deviation], axis=1)
+        wanted = np.concatenate([self.frequency[which, :, None], channels], axis=1)
         # points, segments, coordinates
         from_start = (wanted[:, None] - whole[None, start]) / scale[:, None]
-        along = (whole[end] - whole[start])[None] / scale[:, None]
+        along = (whole[start + 1] - whole[start])[None] / scale[:, None]
         length2 = np.sum(along**2, axis=2)
         share = np.sum(from_start * along, axis=2) / np.where(length2 > 0, length2, 1.0)
         share = np.clip(share, 0.0, 1.0)
         distance = np.sum((from_start - share[..., None] * along) ** 2, axis=2)
+        rows = np.arange(len(wanted))
         best = np.argmin(distance, axis=1)
-        share = share[np.arange(len(best)), best]
-        first, second = start[best], end[best]
+        least = distance[rows, best]
+        elsewhere = np.abs(np.arange(len(start)) - best[:, None]) > 1
+        others = np.where(elsewhere, distance, np.inf)
+        second = np.argmin(others, axis=1)
+        close = np.sqrt(others[rows, second]) < 1.2 * np.sqrt(least) + CLOSE
+        point = np.concatenate([rows, rows[close]])
+        place = np.concatenate([best, second[close]])
+        share = share[point, place]
+        first = start[place]
         way = share[:, None, None]
-        depth = (1 - way) * curve.depth[first] + way * curve.depth[second]
-        frequency = (1 - share) * curve.frequency[first] + share * curve.frequency[second]
-        return depth, frequency
+        depth = (1 - way) * curve.depth[first] + way * curve.depth[first + 1]
+        return (
+            point,
+            depth,
+            (1 - share) * curve.frequency[first] + share * curve.frequency[first + 1],
+        )
+
+    def _branch_ends(self, curve: Curve, which: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where the curve crosses the measured frequencies: as a sweep passes it.
+
+        Upwards the first crossing along the curve, downwards the last one, which is what a settled
+        sweep follows where the curve is an S; without a direction the one nearest in amplitude.
+        """
+        start = np.flatnonzero(curve.breaks)
+        at, ahead = curve.frequency[start], curve.frequency[start + 1]
+        wanted = self.frequency[which, :, None]
+        crosses = (wanted - at) * (wanted - ahead) <= 0
+        share = np.clip((wanted - at) / np.where(ahead == at, 1.0, ahead - at), 0.0, 1.0)
+        first = np.argmax(crosses, axis=1)
+        last = crosses.shape[1] - 1 - np.argmax(crosses[:, ::-1], axis=1)
+        seen = (1 - share) * curve.channels[start, 0] + share * curve.channels[start + 1, 0]
+        off = np.where(crosses, np.abs(seen - self.channels[which, :, :1]), np.inf)
+        if at[0] > ahead[-1]:  # followed from its high end
+            first, last = last, first
+        direction = self.direction[which]
+        place = np.select([direction > 0, direction < 0], [first, last], np.argmin(off, axis=1))
+        share = share[np.arange(self.points), place]
+        first = start[place]
+        way = share[:, None, None]
+        depth = (1 - way) * curve.depth[first] + way * curve.depth[first + 1]
+        return np.arange(self.points), depth, self.frequency[which]
+
+    def without_contact(self, values: np.ndarray, which: int) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals, point by point, of the rig without its stops, and their derivatives."""
+        lanes = self.lanes(values)
+        away = eqx.tree_at(_gaps, lanes.paths, replace_fn=lambda gap: 0 * gap + FAR_AWAY)
+        still = eqx.tree_at(_gaps, lanes.slopes, replace_fn=np.zeros_like)
+        here = np.zeros(self.points, int)
+        frequency = self.frequency[which]
+
+        def seen(i):
+            paths = take(away, here[i])
+            return _observe_free(paths, take(still, here[i]), self.sensor, frequency[i])
+
+        channels, change = in_batches(seen, self.points)
+        residual = (self.channels[which] - channels) / self.deviation[which]
+        return residual.reshape(-1), change / self.deviation[which][..., None]
 
     def residuals(
-        self, values: np.ndarray, frequency_scale: float
-    ) -> tuple[np.ndarray, np.ndarray, list[Curve]]:
-        """Residuals of all rigs, their derivatives in the numbers, and the curves."""
+        self,
+        values: np.ndarray,
+        which: np.ndarray,
+        frequency_scale: float,
+        *,
+        precisely: bool = False,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals of all rigs (lanes by `size`) and their derivatives in the numbers.
+
+        `values` has lanes by numbers, `which` the repetition that every lane is compared with.
+        `precisely` goes on with points that would move only a little more.
+        """
         lanes = self.lanes(values)
         curves = self.curves(lanes.paths)
-        usable, nearest = self.nearest(lanes, curves, frequency_scale)
-        count = len(values)
-        residual = np.full((count, self.size), LOST)
-        derivative = np.zeros((count, self.size, len(self.names)))
+        return self._residuals(lanes, curves, which, frequency_scale, precisely)
+
+    def _residuals(
+        self,
+        lanes: Lanes,
+        curves: list[Curve],
+        which: np.ndarray,
+        frequency_scale: float,
+        precisely: bool,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        usable, nearest = self.nearest(lanes, curves, which, frequency_scale, precisely)
+        rows = self.points * (1 + self.sensor.channels)
+        residual = np.full((len(curves), rows), LOST)
+        derivative = np.zeros((len(curves), rows, len(self.names)))
         if nearest is not None:
             some = int(usable.sum())
-            residual[usable] = np.reshape(nearest.residual, (some, -1))
-            derivative[usable] = np.reshape(
-                nearest.derivative, (some, self.size, len(self.names))
-            )
-        return residual, derivative, curves
+            residual[usable] = np.reshape(nearest.residual, (some, rows))
+            derivative[usable] = np.reshape(nearest.derivative, (some, rows, -1))
+        return residual, derivative

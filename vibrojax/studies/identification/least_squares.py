@@ -15,8 +15,10 @@ import numpy as np
 import optax
 import optimistix as optx
 
-Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""From points (lanes by unknowns) to residuals and Jacobians."""
+Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""From points (lanes by unknowns) and the index of their starts to residuals and Jacobians."""
+PATIENCE = 4
+"""Evaluations without a gain after which a start has ended."""
 JACOBIAN = {"jac": "bwd"}
 """Of an affine function, so either way costs nothing; this one can be stacked along lanes."""
 
@@ -53,8 +55,8 @@ def _affine(point, args):
 
 def _reduced(residual: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the same least squares in as many rows as there are unknowns, and one."""
-    factors = [np.linalg.qr(np.column_stack([j, r])) for r, j in zip(residual, jacobian, strict=True)]
-    rows = np.array([f[1] for f in factors])
+    both = np.concatenate([jacobian, residual[..., None]], axis=2)
+    rows = np.linalg.qr(both, mode="r")
     return rows[:, :, -1], rows[:, :, :-1]
 
 
@@ -116,6 +118,7 @@ class LevenbergMarquardt:
         best = np.clip(start, low, high)
         cost = np.full(lanes, np.inf)
         count = np.zeros(lanes, int)
+        idle = np.zeros(lanes, int)
         done = np.zeros(lanes, bool)
         args = (
             np.zeros((lanes, unknowns + 1)),
@@ -128,9 +131,11 @@ class LevenbergMarquardt:
             asked = np.clip(np.asarray(state.y_eval), low, high)
             state = eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(asked))
             active = np.flatnonzero(~done)
-            residual, jacobian = evaluate(asked[active])
+            residual, jacobian = evaluate(asked[active], active)
             size = np.sum(residual**2, axis=1)
             better = size < cost[active]
+            gained = cost[active] - size > tolerance
+            idle[active] = np.where(gained, 0, idle[active] + 1)
             best[active[better]] = asked[active[better]]
             cost[active] = np.minimum(cost[active], size)
             count[active] += 1
@@ -141,7 +146,7 @@ class LevenbergMarquardt:
             point, state, stopped = _step(solver, point, state, jax.tree.map(jnp.asarray, args))
             # Next to the minimum a step can be refused for rounding; there is nothing to gain.
             done[active] |= better & (_decrement(residual, jacobian) < tolerance)
-            done |= np.asarray(stopped)
+            done |= np.asarray(stopped) | (idle >= PATIENCE)
             if done.all():
                 break
         return Found(best, cost, done, count)
@@ -169,7 +174,7 @@ class Optax:
         moved = np.full(len(start), np.inf)
         taken = 0
         while taken < self.steps and (moved > tolerance).any():
-            residual, jacobian = evaluate(np.asarray(point))
+            residual, jacobian = evaluate(np.asarray(point), np.arange(len(start)))
             size = np.sum(residual**2, axis=1)
             better = size < cost
             best[better], cost[better] = np.asarray(point)[better], size[better]

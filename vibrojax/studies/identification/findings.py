@@ -1,0 +1,77 @@
+"""What a person should know of a fit: misfit, jumps that came early, contact that never was."""
+
+import numpy as np
+from scipy import stats
+
+from vibrojax.measured.curve import MeasuredCurve
+from vibrojax.studies.identification.curve_misfit import Curve
+
+POOR = 1.5
+"""Reduced chi-square from which the model is said not to explain the data."""
+
+
+def early_jumps(measured: MeasuredCurve, curve: Curve, unit: float, tolerance: float) -> list[str]:
+    """Name the sweeps that jumped before the fold of the fitted curve.
+
+    `tolerance` is how well (over `unit`) the fold and the frequencies are known.
+    """
+    sentences = []
+    hertz = "" if measured.frequency_name == "frequency_ratio" else " Hz"
+    for jump in measured.jumps():
+        way = jump.direction
+        turns = curve.frequency[curve.turning(way)]
+        ahead = turns[way * (turns - jump.before) > 0]
+        if not len(ahead):
+            continue
+        fold = ahead[np.argmin(np.abs(ahead - jump.before))]
+        same = measured.frequency[measured.direction == way]
+        # Points that could have stayed where the sweep was, had it not jumped.
+        missed = (way * (same - jump.after) >= 0) & (way * (fold - same) > tolerance * unit)
+        count = int(np.sum(missed))
+        if count:
+            name = "forward" if way > 0 else "backward"
+            points = "1 point" if count == 1 else f"{count} points"
+            sentences.append(
+                f"The {name} sweep jumped early: between {jump.before:.5g} and "
+                f"{jump.after:.5g}{hertz}, {points} before the fold at {fold:.5g}{hertz}. Its "
+                "place says nothing about the stop; the points themselves were used."
+            )
+    return sentences
+
+
+def misfit(reduced: float, degrees_of_freedom: int, residual: np.ndarray) -> list[str]:
+    """Say so when the model does not explain the data, or the deviations are not what they were."""
+    sentences = []
+    if reduced > POOR:
+        sentences.append(
+            f"The model does not explain the data: the reduced chi-square is {reduced:.3g}. The "
+            "formulation, the number of modes, a number held fixed or the deviations given are "
+            "wrong, or this is not the best minimum; the intervals are widened accordingly, and "
+            "still say nothing about a bias."
+        )
+    elif stats.chi2.cdf(reduced * degrees_of_freedom, degrees_of_freedom) < 1e-6:
+        sentences.append(
+            f"The fit is better than the deviations allow (reduced chi-square {reduced:.3g}): they "
+            "are probably too large, and so are the intervals."
+        )
+    runs = _runs(residual)
+    if runs < -3.5:
+        sentences.append(
+            "Neighbouring residuals have the same sign far more often than by chance "
+            f"({-runs:.1f} standard deviations): there is something in the data that the model "
+            "does not have."
+        )
+    return sentences
+
+
+def _runs(residual: np.ndarray) -> float:
+    """Runs of one sign beyond chance, in standard deviations (Wald and Wolfowitz 1940)."""
+    signs = residual[residual != 0] > 0
+    above, below = int(signs.sum()), int((~signs).sum())
+    total = above + below
+    if min(above, below) < 8:
+        return 0.0
+    runs = 1 + int(np.sum(signs[1:] != signs[:-1]))
+    mean = 1 + 2 * above * below / total
+    variance = (mean - 1) * (mean - 2) / (total - 1)
+    return (runs - mean) / np.sqrt(variance)

@@ -1,0 +1,234 @@
+"""From a call of `identify` to a problem: what is fitted, what is fixed, and whether it can be."""
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from vibrojax._checks import check_choice, nearest
+from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
+from vibrojax.measured.history import MeasuredHistory
+from vibrojax.measured.reading import read_measured_curve
+from vibrojax.studies.continuation_axes import check_system
+from vibrojax.studies.identification.coordinates import Coordinate, coordinate_of
+from vibrojax.studies.identification.curve_misfit import CurveMisfit
+from vibrojax.studies.identification.fold_misfit import FoldMisfit
+from vibrojax.studies.identification.history_misfit import HistoryMisfit
+from vibrojax.studies.identification.problem import Part, Problem
+from vibrojax.systems.base import AbstractSystem, as_arrays, equations_of
+
+OBJECTIVES = ("distance", "pointwise", "folds")
+Measurement = MeasuredCurve | MeasuredHistory
+Make = Callable[..., AbstractSystem]
+
+
+class Given(NamedTuple):
+    """What `identify` was asked, put in order."""
+
+    make: Make
+    guess: dict[str, float]
+    """By unknown: the argument, or argument[label] where it is private to a measurement."""
+    arguments: dict[str, str]
+    """Argument of the function, by unknown."""
+    numbers: dict[str, Any]
+    """Arguments held fixed."""
+    private: tuple[str, ...]
+    bounds: dict[str, tuple[float, float]]
+    transforms: dict[str, str]
+    objective: str
+
+
+def measurements_of(measured: Any) -> tuple[Measurement, ...]:
+    """Return what was measured as a tuple. Raises `ValueError` for anything else."""
+    if isinstance(measured, str | Path):
+        measured = read_measured_curve(measured)
+    if isinstance(measured, MeasuredCurve | MeasuredHistory):
+        return (measured,)
+    if isinstance(measured, MeasuredCurves | Sequence):
+        parts = [part for one in measured for part in measurements_of(one)]
+        if parts:
+            return tuple(parts)
+    raise ValueError(
+        "measured must be a MeasuredCurve, a MeasuredHistory, several of them or the path of a "
+        f"curve, got {measured!r}."
+    )
+
+
+def label_of(measurement: Measurement, index: int) -> str:
+    """Name of a measurement among others."""
+    return measurement.label or str(index + 1)
+
+
+def given(
+    make: Make,
+    measured: tuple[Measurement, ...],
+    guess: Mapping[str, float],
+    bounds: Mapping[str, tuple[float, float]] | None,
+    private: Sequence[str],
+    transforms: Mapping[str, str] | None,
+    objective: str,
+    numbers: dict[str, Any],
+) -> Given:
+    """Check the names of a call. Raises `ValueError` as `identify` says."""
+    check_choice("objective", objective, OBJECTIVES)
+    if not callable(make):
+        raise ValueError(
+            f"make_system must be a function from named numbers to a system, got {make!r}. Write "
+            "def rig(stiffness=..., damping=...): return vj.ImpactingBeam(...)."
+        )
+    if not guess:
+        raise ValueError("guess must name at least one number to fit, as dict(stiffness=3000.0).")
+    parameters = inspect.signature(make).parameters.values()
+    known = [p.name for p in parameters]
+    free = any(p.kind is p.VAR_KEYWORD for p in parameters)
+    of_curves = {n for m in measured for n in m.parameters}
+    for name in [*guess, *numbers, *private, *of_curves]:
+        if name not in known and not free:
+            raise ValueError(f"Unknown argument {name!r} of the rig. {nearest(name, known)}")
+    for what, names in (("bounds", bounds), ("transforms", transforms), ("private", private)):
+        for name in names or ():
+            if name not in guess:
+                raise ValueError(f"{what} of {name!r}: it is not in guess, so it is not fitted.")
+    for name in guess:
+        if name in numbers:
+            raise ValueError(f"{name} is both fitted (in guess) and held fixed at {numbers[name]}.")
+        if name in of_curves:
+            raise ValueError(
+                f"{name} is fitted (in guess), but the measurement says what it is. Leave it out "
+                "of one of the two."
+            )
+    numeric = {n: _number("guess of " + n, v) for n, v in guess.items()}
+    start, arguments = {}, {}
+    for name, value in numeric.items():
+        if name not in private:
+            start[name], arguments[name] = value, name
+            continue
+        for k, m in enumerate(measured):
+            own = f"{name}[{label_of(m, k)}]"
+            if own in start:
+                raise ValueError(f"Two measurements have the label {label_of(m, k)!r}.")
+            start[own], arguments[own] = value, name
+    return Given(
+        make=make,
+        guess=start,
+        arguments=arguments,
+        numbers=numbers,
+        private=tuple(private),
+        bounds=dict(bounds or {}),
+        transforms=dict(transforms or {}),
+        objective=objective,
+    )
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number, got {value!r}.") from None
+
+
+def coordinates_of(given: Given) -> tuple[Coordinate, ...]:
+    """Coordinates of the unknowns."""
+    return tuple(
+        coordinate_of(
+            name,
+            argument,
+            given.guess[name],
+            given.bounds.get(argument),
+            given.transforms.get(argument),
+        )
+        for name, argument in given.arguments.items()
+    )
+
+
+def own_name(given: Given, argument: str, measurement: Measurement, index: int) -> str:
+    """Unknown that an argument is for one measurement."""
+    return f"{argument}[{label_of(measurement, index)}]" if argument in given.private else argument
+
+
+def problem_of(given: Given, repetitions: Sequence[tuple[Measurement, ...]]) -> Problem:
+    """Set the problem up. Raises `ValueError` for data that cannot be fitted."""
+    coordinates = coordinates_of(given)
+    index = {c.name: k for k, c in enumerate(coordinates)}
+    names = tuple(dict.fromkeys(given.arguments.values()))
+    parts = []
+    for k, first in enumerate(repetitions[0]):
+        same = [r[k] for r in repetitions]
+        held = given.numbers | first.parameters
+        fixed = {n: float(v) for n, v in held.items() if _is_real(v)}
+        static = {n: v for n, v in held.items() if n not in fixed}
+        unknowns = tuple(index[own_name(given, n, first, k)] for n in names)
+        start = {n: coordinates[u] for n, u in zip(names, unknowns, strict=True)}
+        values = {n: given.guess[c.name] for n, c in start.items()}
+        sample = given.make(**static, **fixed, **values)
+        if not isinstance(sample, AbstractSystem):
+            raise ValueError(f"make_system must return a system, got {sample!r}.")
+        if isinstance(first, MeasuredHistory):
+            misfit = HistoryMisfit(given.make, names, fixed, static, same)
+        else:
+            misfit = _curve_misfit(given, names, fixed, static, same, sample)
+        parts.append(Part(misfit, unknowns))
+    problem = Problem(parts, coordinates)
+    count = sum(m.size for m in repetitions[0])
+    if count < len(coordinates):
+        raise ValueError(
+            f"There are fewer measured points ({count}) than numbers to fit ({len(coordinates)}): "
+            "measure more, or fit less."
+        )
+    return problem
+
+
+def _is_real(value: Any) -> bool:
+    return isinstance(value, float | np.floating) or (
+        np.ndim(value) == 0 and hasattr(value, "dtype")
+    )
+
+
+def _curve_misfit(
+    given: Given,
+    names: tuple[str, ...],
+    fixed: dict[str, float],
+    static: dict[str, Any],
+    same: Sequence[MeasuredCurve],
+    sample: AbstractSystem,
+) -> CurveMisfit:
+    check_system(sample)
+    equations = equations_of(as_arrays(sample))
+    natural = np.asarray(jax.device_get(equations.angular_frequency)) / (2 * np.pi)
+    is_ratio = same[0].frequency_name == "frequency_ratio"
+    unit = 1.0 if is_ratio else float(natural[0])
+    reach = natural / natural[0] * unit
+    low = min(float(m.frequency.min()) for m in same)
+    high = max(float(m.frequency.max()) for m in same)
+    if high < 0.05 * reach[0] or low > 1.5 * reach[-1]:
+        hertz = "" if is_ratio else " Hz"
+        raise ValueError(
+            f"The measured frequencies, {low:.4g} to {high:.4g}{hertz}, do not overlap those of "
+            f"the model, whose natural frequencies are {', '.join(f'{f:.4g}' for f in reach)}"
+            f"{hertz}. Check the unit of the frequency (Hz or ratio) and the rig."
+        )
+    kind = FoldMisfit if given.objective == "folds" else CurveMisfit
+    objective = "distance" if given.objective == "distance" else "pointwise"
+    return kind(given.make, names, fixed, static, same, unit=unit, objective=objective)
+
+
+def check_contact(problem: Problem, point: np.ndarray, repetitions: int) -> None:
+    """Raise `ValueError` where a fit of nothing but the stops meets data without contact."""
+    for which in range(repetitions):
+        squares, count, slope = 0.0, 0, 0.0
+        for part in problem.parts:
+            if not isinstance(part.misfit, CurveMisfit):
+                return
+            numbers = problem.numbers(point[None])[:, list(part.unknowns)]
+            residual, change = part.misfit.without_contact(numbers, which)
+            squares, count = squares + float(residual @ residual), count + residual.size
+            slope = max(slope, float(np.max(np.abs(change), initial=0.0)))
+        if slope == 0.0 and squares < 1.5 * count:
+            raise ValueError(
+                "The measured curve never touches the stop: the beam without contact explains it "
+                f"(reduced chi-square {squares / count:.3g}), so contact cannot be identified from "
+                "it. Drive harder, close the gap, or measure nearer to resonance."
+            )
