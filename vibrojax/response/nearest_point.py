@@ -28,8 +28,6 @@ LONGEST = 0.05
 """Longest step along the curve in one round, in the arclength of the continuation."""
 CONVERGED = 1e-5
 """Newton correction, over the size of the motion, at which a point is on the curve."""
-CLOSE = 1e-6
-"""Steps at which no further round is needed; what is left is their square."""
 
 
 class Target(NamedTuple):
@@ -78,14 +76,15 @@ def nearest_points(
     sensor: Sensor,
     *,
     scale: float,
-    capacity: int,
     rounds: int | Int[Array, ""],
+    close: float | Float[Array, ""],
 ) -> Nearest:
     """Find the nearest points of many curves from guesses on them.
 
     `slopes` holds the derivatives of the paths, with the numbers sought as the second axis; `scale`
-    is the change of frequency that counts as much as a motion changing by its size, `capacity`
-    the number of samples that may be in contact, `rounds` the most that are gone through.
+    is the change of frequency that counts as much as a motion changing by its size, `rounds` the
+    most that are gone through, `close` the step at which no further one is needed: distances are
+    then off by its square, derivatives by itself.
     """
     samples = 2 * (depth.shape[-1] - 1)
     number = jax.tree.leaves(slopes)[0].shape[1]
@@ -162,7 +161,10 @@ def nearest_points(
             newton,
             way,
             step,
-            residual,
+            # As they will be after this step, to first order.
+            frequency + shifts[0] + way * unit,
+            channels + rows[0] + way * rows[-1],
+            residual - lines[0] - way * line,
             derivative,
         )
 
@@ -175,17 +177,26 @@ def nearest_points(
         place, problem, here, right, channels, seen = jax.vmap(linearise)(
             paths, slopes, depth, frequency
         )
-        solve = jax.vmap(lambda p, a, r: solve_condensed(p, a, r, samples, capacity))
-        solved = solve(problem, here, right)
-        depth, next_frequency, newton, way, step, residual, derivative = jax.vmap(advance)(
+        touching = (here.stiffness != 0) | (here.damping != 0)
+        needed = jnp.max(jnp.sum(touching, axis=(1, 2)))
+        level = jnp.searchsorted(jnp.asarray(sizes), needed)
+        solved = lax.switch(level, solvers, problem, here, right)
+        depth, frequency, newton, way, step, *rest = jax.vmap(advance)(
             target, depth, frequency, last, place, problem, here, solved, channels, seen
         )
-        there = _Round(newton, way, step, ~lost, frequency, channels, residual, derivative)
-        return k + 1, depth, next_frequency, there
+        there = _Round(newton, way, step, ~lost, *rest)
+        return k + 1, depth, frequency, there
+
+    unknowns = depth.shape[1] * samples
+    sizes = (*(unknowns * k // 16 for k in (1, 5, 9)), unknowns)
+    solvers = [
+        jax.vmap(lambda p, a, r, size=size: solve_condensed(p, a, r, samples, size))
+        for size in sizes
+    ]
 
     def unfinished(carry):
         k, last = carry[0], carry[3]
-        near = (last.newton < CLOSE) & (jnp.abs(last.way) < CLOSE)
+        near = (last.newton < close) & (jnp.abs(last.way) < close)
         return (k <= rounds) & ~jnp.all(near)
 
     points, size = frequency.shape[0], 1 + sensor.channels
@@ -202,5 +213,5 @@ def nearest_points(
         derivative=jnp.zeros((points, size, number)),
     )
     *_, last = lax.while_loop(unfinished, turn, (0, depth, frequency, first))
-    near = (last.newton < CLOSE) & (jnp.abs(last.way) < CLOSE)
+    near = (last.newton < close) & (jnp.abs(last.way) < close)
     return Nearest(near, *last[3:])

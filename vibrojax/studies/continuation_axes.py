@@ -9,7 +9,13 @@ import numpy as np
 
 from vibrojax._checks import check_positive, nearest
 from vibrojax.studies.frequency_sweep import check_drive
-from vibrojax.systems.base import AbstractSystem, LinearEquations, as_arrays, equations_of
+from vibrojax.systems.base import (
+    AbstractEquations,
+    AbstractSystem,
+    LinearEquations,
+    as_arrays,
+    equations_of,
+)
 
 
 class Along(NamedTuple):
@@ -173,7 +179,11 @@ def _make(system: Any, numbers: dict[str, Any]) -> AbstractSystem:
 def check_system(system: AbstractSystem) -> None:
     """Refuse, with a `ValueError`, a system without drive, stops, or linear equations."""
     check_drive(system)
-    equations = equations_of(as_arrays(system))
+    check_equations(system, equations_of(as_arrays(system)))
+
+
+def check_equations(system: AbstractSystem, equations: AbstractEquations) -> None:
+    """Refuse, with a `ValueError`, equations that are not linear but for stops."""
     if not isinstance(equations, LinearEquations):
         raise ValueError(
             f"{type(system).__name__} is not linear but for its stops, which harmonic balance "

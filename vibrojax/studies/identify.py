@@ -36,6 +36,8 @@ STAGES = ((0.0, 0.3), (0.5, 0.3), (1.0, 1e-3))
 """Stages of a search: how far between the two scales (in log), and when it ends (chi-square)."""
 POOR = 2.0
 """Reduced chi-square above which other starts are tried."""
+FARTHEST = 9.0
+"""Farthest that a search goes from the guess in a coordinate: a factor of 8000 in log."""
 APART = 3.0
 """Distance between alternatives, in standard deviations."""
 
@@ -234,6 +236,8 @@ class _Fits:
 
     def _search(self, points: np.ndarray, which: np.ndarray) -> None:
         low, high = self.problem.limits
+        middle = self.problem.point(list(self.asked.guess.values()))
+        low, high = np.maximum(low, middle - FARTHEST), np.minimum(high, middle + FARTHEST)
         for share, tolerance in STAGES:
             scale = self.first ** (1 - share) * self.last**share
 

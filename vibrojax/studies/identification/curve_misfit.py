@@ -12,17 +12,22 @@ from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.response.condensed import balance, condensed_problem
 from vibrojax.response.continuation import Ending, Settings, begin
 from vibrojax.response.nearest_point import Nearest, Target, nearest_points
-from vibrojax.response.paths import FrequencyPath, Place, frequency_path
+from vibrojax.response.paths import FrequencyPath, Place
 from vibrojax.response.sensor import Sensor, observe
 from vibrojax.response.tracing import Traced, free_motion, in_batches, take, trace_branches
+from vibrojax.studies.continuation_axes import check_equations
 from vibrojax.systems.base import AbstractSystem
 
 SAMPLES = 128
 WIDTHS = (8,)
 MOST_POINTS = 300
+LONGEST_STEP = 0.16
+"""Along the curve: generous, since nearest points are solved for."""
 MARGIN = 0.02
 """How far beyond the measured frequencies a curve is followed, relative."""
 FEW_ROUNDS, MANY_ROUNDS = 4, 30
+NEAR_ENOUGH, PRECISE = 1e-3, 1e-6
+"""Last step to a nearest point, in a search and at its end."""
 CLOSE = 0.5
 """Distance, in standard deviations, by which a polygon may mistake the nearest place."""
 HELD = 1e-7
@@ -73,7 +78,10 @@ def _lanes(make, names, static, is_ratio, values, fixed):
     def one(values, fixed):
         def build(values):
             system = make(**static, **fixed, **dict(zip(names, values, strict=True)))
-            return frequency_path(system, is_ratio, exact=False)
+            equations = system.equations()
+            check_equations(system, equations)
+            unit = equations.angular_frequency[0] if is_ratio else jnp.asarray(2 * jnp.pi)
+            return FrequencyPath(equations, system.drive, unit, None)
 
         path = build(values)
         rows = jnp.eye(len(names))
@@ -96,22 +104,6 @@ def _observe(paths, sensor, depth, frequency):
         return observe(sensor, place, problem, at.force, depth, 1)
 
     return jax.vmap(one)(paths, depth, frequency)
-
-
-@eqx.filter_jit
-def _observe_free(paths, slopes, sensor, frequency):
-    def one(path, slopes, frequency):
-        def channels(path):
-            place = Place(path.equations, path.drive, frequency * path.unit)
-            w = place.angular_frequency
-            problem = condensed_problem(place.equations, place.drive, w, samples=SAMPLES)
-            depth = problem.drive
-            return observe(sensor, place, problem, jnp.zeros_like(depth), depth, 1)
-
-        value, linear = jax.linearize(channels, path)
-        return value, jax.vmap(linear)(slopes).T
-
-    return jax.vmap(one)(paths, slopes, frequency)
 
 
 def _gaps(path: FrequencyPath) -> list[Any]:
@@ -157,13 +149,12 @@ class CurveMisfit:
         fixed: dict[str, float],
         static: dict[str, Any],
         repetitions: Sequence[MeasuredCurve],
-        unit: float = 1.0,
         objective: str = "distance",
     ):
         first = repetitions[0]
         self.make, self.names, self.fixed, self.static = make, names, fixed, static
         self.objective = objective
-        self.unit = unit
+        self.unit = 1.0
         """Frequency that a frequency scale refers to: the first natural one, or 1 for ratios."""
         self.sensor = Sensor(
             quantity=first.quantity if first.amplitude is not None else None,
@@ -237,7 +228,7 @@ class CurveMisfit:
             direction=np.where(from_high, -1.0, 1.0),
             scale=self.scale * ones,
             tolerance=np.asarray(1e-4),
-            longest=np.asarray(0.08),
+            longest=np.asarray(LONGEST_STEP),
         )
         return trace_branches(
             paths,
@@ -291,10 +282,9 @@ class CurveMisfit:
         starts = [self._guesses(curves[k], which[k], frequency_scale) for k in have]
         lane = np.concatenate([np.full(len(s[0]), k) for k, s in zip(have, starts, strict=True)])
         point, depth, frequency = (np.concatenate(part) for part in zip(*starts, strict=True))
-        samples = np.fft.irfft(depth, SAMPLES)
-        most = int(np.max(np.sum(samples > -np.ptp(samples, axis=-1, keepdims=True) / 50, (1, 2))))
-        capacity = next(c for c in (32, 64, 1 << 30) if c > most)
-        capacity = min(capacity, samples.shape[1] * SAMPLES)
+        # Like with like: a batch takes as long as its longest contact.
+        order = np.argsort(np.sum(np.fft.irfft(depth, SAMPLES) > 0, axis=(1, 2)), kind="stable")
+        lane, point, depth, frequency = lane[order], point[order], depth[order], frequency[order]
         row = which[lane], point
         anywhere = self.objective == "distance"
         target = Target(
@@ -313,8 +303,8 @@ class CurveMisfit:
                 frequency[i],
                 self.sensor,
                 scale=self.scale,
-                capacity=capacity,
                 rounds=jnp.asarray(rounds),
+                close=jnp.asarray(PRECISE if precisely else NEAR_ENOUGH),
             )
 
         nearest = in_batches(find, len(lane))
@@ -354,7 +344,9 @@ class CurveMisfit:
         rows = np.arange(len(wanted))
         best = np.argmin(distance, axis=1)
         least = distance[rows, best]
-        elsewhere = np.abs(np.arange(len(start)) - best[:, None]) > 1
+        aside = np.pad(distance, ((0, 0), (1, 1)), constant_values=np.inf)
+        lowest = (distance <= aside[:, :-2]) & (distance <= aside[:, 2:])
+        elsewhere = lowest & (np.abs(np.arange(len(start)) - best[:, None]) > 1)
         others = np.where(elsewhere, distance, np.inf)
         second = np.argmin(others, axis=1)
         close = np.sqrt(others[rows, second]) < 1.2 * np.sqrt(least) + CLOSE
@@ -395,21 +387,21 @@ class CurveMisfit:
         depth = (1 - way) * curve.depth[first] + way * curve.depth[first + 1]
         return np.arange(self.points), depth, self.frequency[which]
 
-    def without_contact(self, values: np.ndarray, which: int) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals, point by point, of the rig without its stops, and their derivatives."""
-        lanes = self.lanes(values)
-        away = eqx.tree_at(_gaps, lanes.paths, replace_fn=lambda gap: 0 * gap + FAR_AWAY)
-        still = eqx.tree_at(_gaps, lanes.slopes, replace_fn=np.zeros_like)
-        here = np.zeros(self.points, int)
-        frequency = self.frequency[which]
-
-        def seen(i):
-            paths = take(away, here[i])
-            return _observe_free(paths, take(still, here[i]), self.sensor, frequency[i])
-
-        channels, change = in_batches(seen, self.points)
-        residual = (self.channels[which] - channels) / self.deviation[which]
-        return residual.reshape(-1), change / self.deviation[which][..., None]
+    def without_contact(self, values: np.ndarray, which: int) -> np.ndarray:
+        """Residuals (rigs by measured numbers), point by point, of rigs without their stops."""
+        paths = self.lanes(values).paths
+        away = eqx.tree_at(_gaps, paths, replace_fn=lambda gap: 0 * gap + FAR_AWAY)
+        index = _filled_up(len(values))
+        low = np.full(len(index), self.low)
+        depth = np.asarray(_free_and_touching(take(away, index), low)[0])
+        lane = np.repeat(np.arange(len(values)), self.points)
+        frequency = np.tile(self.frequency[which], len(values))
+        channels = in_batches(
+            lambda i: _observe(take(away, lane[i]), self.sensor, depth[lane[i]], frequency[i]),
+            len(lane),
+        )
+        seen = channels.reshape(len(values), *self.channels[which].shape)
+        return ((self.channels[which] - seen) / self.deviation[which]).reshape(len(values), -1)
 
     def residuals(
         self,

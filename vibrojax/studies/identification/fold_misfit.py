@@ -86,7 +86,7 @@ class FoldMisfit(CurveMisfit):
             np.full(64, curve.frequency[at]),
             self.sensor,
             scale=self.scale,
-            capacity=64 * curve.depth.shape[1],
             rounds=jnp.asarray(0),
+            close=jnp.asarray(0.0),
         )
         return (middle - curve.frequency[at]) / step, np.asarray(nearest.derivative)[0, 0]

@@ -6,7 +6,7 @@ residual as what it is to first order at the point it asks for.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -33,6 +33,7 @@ class Found(NamedTuple):
     evaluations: np.ndarray
 
 
+@runtime_checkable
 class Search(Protocol):
     """A way to minimise."""
 

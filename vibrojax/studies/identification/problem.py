@@ -1,13 +1,14 @@
 """All data and all unknowns of an identification, as one least-squares problem."""
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from vibrojax.studies.identification.coordinates import Coordinate
 
 
+@runtime_checkable
 class Misfit(Protocol):
     """Distance of one measurement from the model."""
 

@@ -5,20 +5,19 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from vibrojax._checks import check_choice, nearest
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory
 from vibrojax.measured.reading import read_measured_curve
-from vibrojax.studies.continuation_axes import check_system
+from vibrojax.studies.frequency_sweep import check_drive
 from vibrojax.studies.identification.coordinates import Coordinate, coordinate_of
 from vibrojax.studies.identification.curve_misfit import CurveMisfit
 from vibrojax.studies.identification.fold_misfit import FoldMisfit
 from vibrojax.studies.identification.history_misfit import HistoryMisfit
 from vibrojax.studies.identification.problem import Part, Problem
-from vibrojax.systems.base import AbstractSystem, as_arrays, equations_of
+from vibrojax.systems.base import AbstractSystem
 
 OBJECTIVES = ("distance", "pointwise", "folds")
 Measurement = MeasuredCurve | MeasuredHistory
@@ -169,7 +168,7 @@ def problem_of(given: Given, repetitions: Sequence[tuple[Measurement, ...]]) -> 
         if isinstance(first, MeasuredHistory):
             misfit = HistoryMisfit(given.make, names, fixed, static, same)
         else:
-            misfit = _curve_misfit(given, names, fixed, static, same, sample)
+            misfit = _curve_misfit(given, names, fixed, static, same, sample, list(values.values()))
         parts.append(Part(misfit, unknowns))
     problem = Problem(parts, coordinates)
     count = sum(m.size for m in repetitions[0])
@@ -194,39 +193,46 @@ def _curve_misfit(
     static: dict[str, Any],
     same: Sequence[MeasuredCurve],
     sample: AbstractSystem,
+    values: list[float],
 ) -> CurveMisfit:
-    check_system(sample)
-    equations = equations_of(as_arrays(sample))
-    natural = np.asarray(jax.device_get(equations.angular_frequency)) / (2 * np.pi)
-    is_ratio = same[0].frequency_name == "frequency_ratio"
-    unit = 1.0 if is_ratio else float(natural[0])
-    reach = natural / natural[0] * unit
-    low = min(float(m.frequency.min()) for m in same)
-    high = max(float(m.frequency.max()) for m in same)
-    if high < 0.05 * reach[0] or low > 1.5 * reach[-1]:
-        hertz = "" if is_ratio else " Hz"
-        raise ValueError(
-            f"The measured frequencies, {low:.4g} to {high:.4g}{hertz}, do not overlap those of "
-            f"the model, whose natural frequencies are {', '.join(f'{f:.4g}' for f in reach)}"
-            f"{hertz}. Check the unit of the frequency (Hz or ratio) and the rig."
-        )
+    check_drive(sample)
     kind = FoldMisfit if given.objective == "folds" else CurveMisfit
     objective = "distance" if given.objective == "distance" else "pointwise"
-    return kind(given.make, names, fixed, static, same, unit=unit, objective=objective)
+    misfit = kind(given.make, names, fixed, static, same, objective=objective)
+    paths = misfit.lanes(np.array([values])).paths
+    first = np.asarray(paths.equations.angular_frequency)[0] / float(paths.unit[0])
+    if same[0].frequency_name != "frequency_ratio":
+        misfit.unit = float(first[0])
+    _check_overlap(misfit, first)
+    return misfit
+
+
+def _check_overlap(misfit: CurveMisfit, natural: np.ndarray) -> None:
+    """Refuse frequencies that are not those of the model (`natural`, in their unit)."""
+    low, high = float(misfit.frequency.min()), float(misfit.frequency.max())
+    if high < 0.05 * natural[0] or low > 1.5 * natural[-1]:
+        hertz = "" if misfit.is_ratio else " Hz"
+        raise ValueError(
+            f"The measured frequencies, {low:.4g} to {high:.4g}{hertz}, do not overlap those of "
+            f"the model, whose natural frequencies are {', '.join(f'{f:.4g}' for f in natural)}"
+            f"{hertz}. Check the unit of the frequency (Hz or ratio) and the rig."
+        )
 
 
 def check_contact(problem: Problem, point: np.ndarray, repetitions: int) -> None:
     """Raise `ValueError` where a fit of nothing but the stops meets data without contact."""
+    if not all(isinstance(part.misfit, CurveMisfit) for part in problem.parts):
+        return
+    # Numbers a little off: those of the stops change nothing without contact.
+    points = point + np.vstack([np.zeros(len(point)), 1e-2 * np.eye(len(point))])
+    numbers = problem.numbers(points)
     for which in range(repetitions):
-        squares, count, slope = 0.0, 0, 0.0
-        for part in problem.parts:
-            if not isinstance(part.misfit, CurveMisfit):
-                return
-            numbers = problem.numbers(point[None])[:, list(part.unknowns)]
-            residual, change = part.misfit.without_contact(numbers, which)
-            squares, count = squares + float(residual @ residual), count + residual.size
-            slope = max(slope, float(np.max(np.abs(change), initial=0.0)))
-        if slope == 0.0 and squares < 1.5 * count:
+        residual = np.concatenate(
+            [p.misfit.without_contact(numbers[:, list(p.unknowns)], which) for p in problem.parts],
+            axis=1,
+        )
+        squares, count = float(residual[0] @ residual[0]), residual.shape[1]
+        if squares < 1.5 * count and np.abs(residual[1:] - residual[0]).max() < 1e-9:
             raise ValueError(
                 "The measured curve never touches the stop: the beam without contact explains it "
                 f"(reduced chi-square {squares / count:.3g}), so contact cannot be identified from "
