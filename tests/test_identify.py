@@ -82,11 +82,12 @@ def test_recovers_the_stiffness_and_bounds_the_damping(fit):
     assert fit.identifiability["damping"].startswith("not identifiable")
     assert not fit.identifiable["damping"]
     assert fit.interval["damping"][0] == 0.0
-    assert 5e-5 < fit.interval["damping"][1] <= 0.3
+    assert 5e-5 < fit.interval["damping"][1] <= 1.0
     assert 0.6 < fit.reduced_chi_square < 1.3
     assert fit.warnings == ()
 
 
+@pytest.mark.slow
 def test_poor_guesses_end_in_the_same_place(make, name, fit):
     for stiffness, damping in ((500.0, 10.0), (50000.0, 1e-6)):
         other = vj.identify(make, measured(name=name), dict(stiffness=stiffness, damping=damping))
@@ -269,8 +270,8 @@ def test_a_curve_without_contact_is_refused(make):
         ratio,
         "frequency_ratio",
         amplitude=np.interp(ratio, free.values, free.amplitude_ratio),
-        amplitude_deviation=0.05,
-        direction=1,
+        amplitude_deviation=np.array([0.05]),
+        direction=np.ones(20, int),
     )
     with pytest.raises(ValueError, match="never touches the stop"):
         vj.identify(make, data, GUESS)

@@ -18,8 +18,8 @@ from vibrojax.drive import PointForce as PointForce
 from vibrojax.measured.curve import MeasuredCurve as MeasuredCurve
 from vibrojax.measured.curve import MeasuredCurves as MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory as MeasuredHistory
-from vibrojax.measured.reading import read_measured_curve as read_measured_curve
 from vibrojax.measured.history import read_measured_history as read_measured_history
+from vibrojax.measured.reading import read_measured_curve as read_measured_curve
 from vibrojax.modes import Modes as Modes
 from vibrojax.modes import modes as modes
 from vibrojax.response.folds import Fold as Fold

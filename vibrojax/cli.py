@@ -1,4 +1,4 @@
-"""The command `vibrojax`: frequency sweeps and modes of a rig, from a terminal.
+"""The command `vibrojax`: sweeps, modes and fits of a rig, from a terminal.
 
 Nothing heavy is imported before a command runs.
 """
@@ -28,6 +28,7 @@ Try:
 $ vibrojax sweep             the default rig: a table, sweep.nc and sweep.png
 $ vibrojax sweep rig.toml    your rig (its file explained: examples/uniform_beam.toml)
 $ vibrojax modes rig.toml    its natural frequencies
+$ vibrojax fit curve.csv     contact stiffness and damping from a measured curve
 $ vibrojax sweep --help      every option of a command
 $ vibrojax --version         the version"""
 
@@ -116,7 +117,7 @@ def sweep(
     from vibrojax.studies.frequency_sweep import frequency_sweep
 
     system, settings = _read(rig)
-    _check_driven(rig, system)
+    _check_driven(rig, system, "sweep")
     for name, given in (("frequency", frequency), ("frequency_ratio", frequency_ratio)):
         if given is not None:
             settings.pop("frequency", None)
@@ -177,7 +178,117 @@ def modes(
     return 0
 
 
-COMMANDS = {"sweep": sweep, "modes": modes}
+def fit(
+    curve: Annotated[
+        Path,
+        tyro.conf.Positional,
+        tyro.conf.arg(
+            help="measured frequency response: text with a header (.csv, .txt) or NetCDF",
+            metavar="CURVE.csv",
+            help_behavior_hint="(required)",
+        ),
+    ],
+    rig: Annotated[Path | None, _option(_RIG_HELP, "RIG.toml", "the default rig")] = None,
+    fit: Annotated[
+        tuple[str, ...],
+        _option(
+            "numbers to fit: keys of the first [[stop]] (stiffness, damping, gap, position), of "
+            "[beam], damping_ratio, or amplitude of the drive; the others stay as the rig has them",
+            "NAME ...",
+            "stiffness damping",
+        ),
+    ] = ("stiffness", "damping"),
+    guess: Annotated[
+        tuple[str, ...],
+        _option("first values, SI", "NAME=VALUE ...", "those of the rig"),
+    ] = (),
+    bounds: Annotated[
+        tuple[str, ...],
+        _option("bounds, SI", "NAME=LOW:HIGH ...", "none but of what is no rig"),
+    ] = (),
+    objective: Annotated[
+        Literal["distance", "pointwise", "folds"],
+        _option(
+            "distance: of every point from the whole response curve; for comparison pointwise: at "
+            "equal frequencies, or folds: with the jumps on the folds",
+            "{distance,pointwise,folds}",
+            "distance",
+        ),
+    ] = "distance",
+    starts: Annotated[int, _option("how many starts to search from", "COUNT", "1")] = 1,
+    columns: Annotated[
+        tuple[str, ...],
+        _option(
+            "columns of the file, by name or position from 0 (none: leave out), as "
+            "frequency=f_Hz amplitude=2; also deviation, contact_force, direction",
+            "NAME=COLUMN ...",
+            "recognised by their names",
+        ),
+    ] = (),
+    units: Annotated[
+        tuple[str, ...],
+        _option(
+            "units where the header has none, as frequency=Hz amplitude=mm (or ratio)",
+            "NAME=UNIT ...",
+            "those of the header",
+        ),
+    ] = (),
+    quantity: Annotated[
+        Literal["amplitude", "peak", "peak_to_peak", "rms", "first_harmonic"] | None,
+        _option(
+            "what of the signal was measured; amplitude is (max - min)/2",
+            "{amplitude,peak,peak_to_peak,rms,first_harmonic}",
+            "told by the header, else amplitude",
+        ),
+    ] = None,
+    frame: Annotated[
+        Literal["relative", "absolute"] | None,
+        _option("to the moving base, or not", "{relative,absolute}", "relative"),
+    ] = None,
+    output: Annotated[
+        Path,
+        _option("name of the report (.json) and the picture (.png)", "FILE", "fit"),
+    ] = Path("fit"),
+) -> int:
+    """Fit numbers of a rig to a measured curve; print what is known of them, write both files.
+
+    Try:
+    $ vibrojax fit curve.csv --rig rig.toml
+    $ vibrojax fit curve.csv --rig rig.toml --fit stiffness gap --guess stiffness=3000
+    $ vibrojax fit curve.csv --columns frequency=f amplitude=tip --units frequency=Hz amplitude=mm
+    """
+    started = time.perf_counter()
+    if output.suffix.lower() not in ("", ".json", ".png"):
+        raise ValueError(f"--output must be a name without ending, or .json, got {str(output)!r}.")
+    if not output.name:
+        raise ValueError(f"--output must be the name of a file, got {str(output)!r}.")
+    data, picture = output.with_suffix(".json"), output.with_suffix(".png")
+    _target("--output", data, (".json",))
+    _target("--output", picture, (".png",))
+    from vibrojax import cli_fit
+    from vibrojax.studies.identify import identify
+
+    if not fit or len(set(fit)) < len(fit):
+        raise ValueError("--fit must name at least one number, and each of them once.")
+    system, _ = _read(rig)
+    _check_driven(rig, system, "fit")
+    make = cli_fit.rig_function(system, fit)
+    first = cli_fit.guesses(system, fit, guess)
+    within = cli_fit.bounds(fit, bounds)
+    measured = cli_fit.read_curve(curve, columns, units, quantity, frame)
+    compiling = _watch_compilation()
+    found = identify(make, measured, first, within, objective=objective, starts=starts)
+    fitted = time.perf_counter()
+    cli_fit.save(found, data, picture)
+    whose = "the default rig (dimensions assumed)" if rig is None else str(rig)
+    print(f"Fit of {whose} to {curve}")
+    print("\n".join(f"  {line}" for line in repr(found).splitlines()))
+    print(f"  time     {fitted - started:.1f} s (compiling {sum(compiling):.1f} s)")
+    print(f"  written  {data}, {picture}")
+    return 0
+
+
+COMMANDS = {"sweep": sweep, "modes": modes, "fit": fit}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -221,11 +332,11 @@ def _read(rig: Path | None) -> tuple["ImpactingBeam", dict[str, Any]]:
     return read_rig(rig)
 
 
-def _check_driven(rig: Path | None, system: "ImpactingBeam") -> None:
+def _check_driven(rig: Path | None, system: "ImpactingBeam", command: str) -> None:
     from vibrojax.drive import NoDrive
 
     if isinstance(system.drive, NoDrive):
-        raise ValueError(f"Rig file {str(rig)!r}: a sweep needs the table [drive].")
+        raise ValueError(f"Rig file {str(rig)!r}: a {command} needs the table [drive].")
 
 
 def _target(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Path | None:

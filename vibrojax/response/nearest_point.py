@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from vibrojax._types import AnyArray
 from vibrojax.response.condensed import (
     balance,
     condensed_problem,
@@ -26,17 +27,17 @@ lax = jax.lax
 
 LONGEST = 0.05
 """Longest step along the curve in one round, in the arclength of the continuation."""
-CONVERGED = 1e-5
-"""Newton correction, over the size of the motion, at which a point is on the curve."""
+CONVERGED = 1e-3
+"""Newton correction, over the size of the motion, from which what is left counts in squares."""
 
 
 class Target(NamedTuple):
     """A measured point, and the lengths by which distances from it are divided."""
 
-    frequency: Float[Array, "..."]
-    channels: Float[Array, "... channels"]
-    frequency_scale: Float[Array, "..."]
-    deviation: Float[Array, "... channels"]
+    frequency: Float[AnyArray, "..."]
+    channels: Float[AnyArray, "... channels"]
+    frequency_scale: Float[AnyArray, "..."]
+    deviation: Float[AnyArray, "... channels"]
 
 
 class Nearest(NamedTuple):
@@ -71,8 +72,8 @@ def nearest_points(
     paths: FrequencyPath,
     slopes: FrequencyPath,
     target: Target,
-    depth: Complex[Array, "points stops harmonics"],
-    frequency: Float[Array, " points"],
+    depth: Complex[AnyArray, "points stops harmonics"],
+    frequency: Float[AnyArray, " points"],
     sensor: Sensor,
     *,
     scale: float,
@@ -102,10 +103,10 @@ def nearest_points(
             return (here.residual, channels), (here, problem)
 
         # How the place moves with the frequency, then with the numbers.
-        still = jax.tree.map(jnp.zeros_like, (path.equations, path.drive))
+        equations, drive = jax.tree.map(jnp.zeros_like, (path.equations, path.drive))
         ways = jax.tree.map(
             lambda zero, rows: jnp.concatenate([zero[None], rows]),
-            Place(*still, path.unit),
+            Place(equations, drive, path.unit),
             Place(slopes.equations, slopes.drive, frequency * slopes.unit),
         )
         (residual, channels), linear, (here, problem) = jax.linearize(at, place, has_aux=True)

@@ -125,8 +125,9 @@ class Identification:
 
         measured: Any = self.measured[measurement]
         frequency = measured.frequency
-        along = {measured.frequency_name: (0.98 * frequency.min(), 1.02 * frequency.max())}
-        return continue_response(self.system(measurement), **along)
+        along: Any = {measured.frequency_name: (0.98 * frequency.min(), 1.02 * frequency.max())}
+        branch: Any = continue_response(self.system(measurement), **along)
+        return branch
 
     def profile(self, name: str, *, points: int = 9, reach: float = 2.5) -> "Profile":
         """Profile likelihood of one number: fixed at values around its estimate, others refitted.
@@ -224,7 +225,7 @@ class Identification:
             "parameters": {
                 n: {
                     "estimate": self.estimate[n],
-                    "interval": list(self.interval[n]),
+                    "interval": [_plain(end) for end in self.interval[n]],
                     "standard_deviation": _plain(self.standard_deviation[n]),
                     "identifiability": self.identifiability[n],
                     "coordinate": self.coordinates[n],

@@ -34,7 +34,7 @@ from vibrojax.results.profile import Profile
 FITTED = "#222222"
 DASHES = (0, (4, 2))
 WORDS = {
-    "amplitude": "amplitude (max − min)/2",
+    "amplitude": "amplitude (max\u00a0−\u00a0min)/2",
     "peak": "peak max |y|",
     "peak_to_peak": "peak to peak",
     "rms": "root mean square",
@@ -67,8 +67,8 @@ def plot_identification(fit: Identification, measurement: int = 0) -> Figure:
     if isinstance(measured, MeasuredHistory):
         heights = [2.0 if len(measured.channels) > 1 else 3.2] * len(measured.channels)
     else:
-        heights = [3.6, *[2.4] * (prediction.channels.shape[1] - 1), 2.0]
-    figure, panels, text = _stacked(heights, LINE * len(written))
+        heights = [3.6, *[2.6] * (prediction.channels.shape[1] - 1), 2.0]
+    figure, panels, text = _stacked(heights, LINE * (len(written) + 1))
     if isinstance(measured, MeasuredHistory):
         lines, labels = _history(panels, measured, prediction)
     else:
@@ -83,7 +83,7 @@ def plot_identification(fit: Identification, measurement: int = 0) -> Figure:
 def _stacked(heights: Sequence[float], text: float) -> tuple[Picture, list[Axes], Axes]:
     """Make panels of some heights (inches) over each other, and a place for text below them."""
     margins = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
-    figure = Picture(figsize=(SIZE[0], sum(heights) + text + 1.5), dpi=DPI, layout=margins)
+    figure = Picture(figsize=(SIZE[0], sum(heights) + text + 1.7), dpi=DPI, layout=margins)
     grid = figure.add_gridspec(len(heights) + 1, 1, height_ratios=[*heights, text])
     panels: list[Axes] = []
     for row in range(len(heights)):
@@ -126,7 +126,8 @@ def _curve(
         axes = panels[k]
         for way, name in DIRECTIONS.items():
             at = measured.direction == way
-            axes.plot(measured.frequency[at], values[at], zorder=3, **_marks(name))
+            if at.any():
+                axes.plot(measured.frequency[at], values[at], zorder=3, **_marks(name))
         _draw_fitted(axes, prediction, prediction.channels[:, k])
         for name, at in folds:
             x, y = prediction.frequency[at], prediction.channels[at, k]
@@ -144,17 +145,21 @@ def _curve(
     residuals = panels[-1]
     for way, name in DIRECTIONS.items():
         at = measured.direction == way
-        residuals.plot(measured.frequency[at], prediction.residual[at], zorder=3, **_marks(name))
-    _residual_axis(residuals, "Residual\n(standard deviations)")
+        if at.any():
+            x, y = measured.frequency[at], prediction.residual[at]
+            residuals.plot(x, y, zorder=3, **_marks(name))
+    _residual_axis(residuals, "Residual\n(std. deviations)")
     residuals.set_xlabel(label_of(measured.frequency_name), fontsize=LABEL)
     return _curve_legend(measured, prediction, bool(folds))
 
 
 def _amplitude_label(measured: MeasuredCurve) -> str:
-    absolute = ", absolute" if measured.frame == "absolute" else ""
-    what = f"{measured.signal.capitalize()}{absolute}, {WORDS[measured.quantity]}"
+    signal = f"{'absolute ' * (measured.frame == 'absolute')}{measured.signal}"
+    what = f"{signal.capitalize()}, {WORDS[measured.quantity]}"
     unit = "over drive amplitude" if measured.is_ratio else f"({measured.unit})"
-    return f"{what}\n{unit}" if len(what) + len(unit) > 30 else f"{what} {unit}"
+    whole = f"{what} {unit}"
+    rows = -(-len(whole) // 34)
+    return textwrap.fill(whole, len(whole) // rows + 6)
 
 
 def _marks(name: str) -> dict[str, Any]:
@@ -163,7 +168,7 @@ def _marks(name: str) -> dict[str, Any]:
         "marker": MARKERS.get(name, "o"),
         "linestyle": "none",
         "color": COLORS.get(name, GREY),
-        "markersize": 5.5,
+        "markersize": 7,
         "markeredgewidth": 0.0,
         "alpha": 0.8,
     }
@@ -184,8 +189,14 @@ def _fold_mark(color: str) -> dict[str, Any]:
 def _folds(prediction: Prediction) -> list[tuple[str, int]]:
     """Direction and place along the curve of its folds, the largest ones where they are many."""
     found = []
+    along = prediction.frequency
     for name, frequencies in prediction.folds.items():
-        places = [int(np.argmin(np.abs(prediction.frequency - f))) for f in frequencies]
+        way = 1 if name == "forward" else -1
+        beyond = way * (along - np.stack([np.roll(along, 1), np.roll(along, -1)]))
+        turning = np.all(beyond > 0, axis=0)
+        # Other branches pass the same frequency.
+        off = np.where(turning, 0.0, np.inf) if turning.any() else np.zeros(len(along))
+        places = [int(np.argmin(np.abs(along - f) + off)) for f in frequencies]
         places.sort(key=lambda at: -prediction.channels[at, 0])
         found += [(name, at) for at in places[:MOST_FOLDS]]
     return found
@@ -197,7 +208,7 @@ def _draw_fitted(axes: Axes, prediction: Prediction, y: np.ndarray) -> None:
             prediction.frequency[start:stop],
             y[start:stop],
             color=FITTED,
-            linewidth=1.4 if unstable else 1.8,
+            linewidth=1.4 if unstable else 1.6,
             linestyle=DASHES if unstable else "-",
             zorder=4,
         )
@@ -220,7 +231,7 @@ def _label_folds(axes: Axes, folds: list[tuple[str, float]], measured: MeasuredC
     shown = sorted((f for f in folds if left <= f[1] <= right), key=lambda fold: fold[1])
     low, high = axes.get_ylim()
     rows = max(1, (len(shown) + 1) // 2)
-    axes.set_ylim(low, high + (0.03 + 0.08 * rows) * (high - low) if shown else high)
+    axes.set_ylim(low, high + (0.06 + 0.09 * rows) * (high - low) if shown else high)
     unit = "" if measured.frequency_name == "frequency_ratio" else " Hz"
     sides: list[bool] = []
     for k, (name, where) in enumerate(shown):
@@ -258,7 +269,7 @@ def _curve_legend(
     labels = []
     for way, name in DIRECTIONS.items():
         if np.any(measured.direction == way):
-            lines.append(Line2D([], [], **(_marks(name) | {"markersize": 8})))
+            lines.append(Line2D([], [], **_marks(name)))
             labels.append(f"measured, {name}{' sweep' if way else ''}")
     kinds = {unstable for unstable, _, _ in _runs(prediction)}
     for unstable, words in ((False, "fitted"), (True, "fitted, between folds")):
@@ -307,7 +318,7 @@ def _history(
             linewidth=0.9,
             zorder=3,
         )
-        _residual_axis(axes, f"{name.replace('_', ' ').capitalize()}:\nresidual (st. deviations)")
+        _residual_axis(axes, f"{name.replace('_', ' ').capitalize()}\n(std. deviations)")
     panels[-1].set_xlabel("Time (s)", fontsize=LABEL)
     line = Line2D([], [], color=COLORS["forward"], linewidth=1.4)
     return [line, _two_deviations()], ["measured less fitted", "±2 standard deviations"]
@@ -386,6 +397,7 @@ def plot_profile(profile: Profile) -> Figure:
     figure, axes = new_picture()
     _draw_profile(axes, profile)
     axes.set_ylabel("Rise of chi-square, others refitted", fontsize=LABEL)
+    _set_height(axes, [profile])
     outside_legend(axes, *_profile_legend([profile]))
     return figure
 
@@ -411,6 +423,7 @@ def plot_profiles(profiles: Sequence[Profile]) -> Figure:
             axes.tick_params(labelbottom=True)
     for row in panels:
         row[0].set_ylabel("Rise of chi-square", fontsize=LABEL)
+    _set_height(panels[0, 0], profiles)
     outside_legend(panels[0, 0], *_profile_legend(profiles))
     return figure
 
@@ -420,8 +433,11 @@ def _draw_profile(axes: Axes, profile: Profile) -> None:
     logarithmic = values.min() > 0 and values.max() > 10 * values.min()
     inside, outside = (np.log, np.exp) if logarithmic else (np.asarray, np.asarray)
     # Roots of the rise are nearly straight: what lies between the values is drawn by them.
-    root = np.sqrt(np.maximum(rise, 0.0)) * np.where(np.arange(len(rise)) < np.argmin(rise), -1, 1)
-    at = inside(values)
+    known, root = values, np.sqrt(np.maximum(rise, 0.0)) * np.sign(values - profile.estimate)
+    if profile.estimate not in values and values[0] < profile.estimate < values[-1]:
+        place = int(np.searchsorted(values, profile.estimate))
+        known, root = np.insert(values, place, profile.estimate), np.insert(root, place, 0.0)
+    at = inside(known)
     between = np.linspace(at[0], at[-1], 40 * len(at))
     color = COLORS["forward"]
     axes.plot(outside(between), np.interp(between, at, root) ** 2, color=color, linewidth=1.8)
@@ -435,8 +451,15 @@ def _draw_profile(axes: Axes, profile: Profile) -> None:
     axes.set_title(
         f"{profile.estimate:.4g}  ({low:.4g} to {high:.4g})", fontsize=SMALL, loc="left", color=GREY
     )
-    axes.set_ylim(bottom=min(0.0, float(rise.min())))
     axes.set_xlabel(f"{profile.name} (SI)", fontsize=LABEL)
+
+
+def _set_height(axes: Axes, profiles: list[Profile]) -> None:
+    """Show all of the rise, or what is of interest where it is huge."""
+    threshold = max(p.threshold for p in profiles)
+    highest = max(float(np.max(p.rise)) for p in profiles)
+    top = 1.06 * min(max(highest, 1.3 * threshold), 6 * threshold)
+    axes.set_ylim(-0.03 * top, top)
 
 
 def _profile_legend(profiles: list[Profile]) -> tuple[list[Artist], list[str]]:

@@ -207,7 +207,8 @@ def _from_neighbours(
     failed, near = failed[usable], near[usable]
     if not len(failed):
         return point
-    guess = Guess(*take((point.events, point.orbit), near), np.ones(len(near), bool))
+    events, orbit = take((point.events, point.orbit), near)
+    guess = Guess(events, orbit, np.ones(len(near), bool))
     again = exact_from(paths, lane[failed], guess, parameter[failed], period=plan.period, hold=True)
     found = again.valid
 

@@ -238,6 +238,7 @@ class _Fits:
         low, high = self.problem.limits
         middle = self.problem.point(list(self.asked.guess.values()))
         low, high = np.maximum(low, middle - FARTHEST), np.minimum(high, middle + FARTHEST)
+        found = None
         for share, tolerance in STAGES:
             scale = self.first ** (1 - share) * self.last**share
 
@@ -247,6 +248,7 @@ class _Fits:
             found = self.search(evaluate, points, low, high, tolerance)
             points = found.point
             np.add.at(self.evaluations, which, found.evaluations)
+        assert found is not None
         for k, point, cost in zip(which, found.point, found.cost, strict=True):
             self.ended[k].append((point, float(cost)))
 

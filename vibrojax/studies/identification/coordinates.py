@@ -25,24 +25,26 @@ class Coordinate(NamedTuple):
         """Coordinate of a number."""
         number = np.asarray(number, float)
         if self.kind == "log":
-            return np.log(np.maximum(number, np.finfo(float).tiny))
-        return np.arcsinh(number / self.scale) if self.kind == "asinh" else number / self.scale
+            return np.asarray(np.log(np.maximum(number, np.finfo(float).tiny)))
+        near = number / self.scale
+        return np.asarray(np.arcsinh(near) if self.kind == "asinh" else near)
 
     def number(self, inside: float | np.ndarray) -> np.ndarray:
         """Number at a coordinate."""
         inside = np.asarray(inside, float)
         if self.kind == "log":
-            return np.exp(np.clip(inside, -700.0, 700.0))
+            return np.asarray(np.exp(np.clip(inside, -700.0, 700.0)))
         if self.kind == "asinh":
-            return self.scale * np.sinh(np.clip(inside, -700.0, 700.0))
-        return self.scale * inside
+            return np.asarray(self.scale * np.sinh(np.clip(inside, -700.0, 700.0)))
+        return np.asarray(self.scale * inside)
 
     def slope(self, inside: float | np.ndarray) -> np.ndarray:
         """Derivative of the number in its coordinate."""
         if self.kind == "log":
             return self.number(inside)
         inside = np.clip(inside, -700.0, 700.0)
-        return self.scale * (np.cosh(inside) if self.kind == "asinh" else np.ones_like(inside))
+        shape = np.cosh(inside) if self.kind == "asinh" else np.ones_like(inside)
+        return np.asarray(self.scale * shape)
 
     @property
     def limits(self) -> tuple[float, float]:

@@ -26,7 +26,7 @@ LONGEST_STEP = 0.16
 MARGIN = 0.02
 """How far beyond the measured frequencies a curve is followed, relative."""
 FEW_ROUNDS, MANY_ROUNDS = 4, 30
-NEAR_ENOUGH, PRECISE = 1e-3, 1e-6
+NEAR_ENOUGH, PRECISE = 1e-3, 1e-8
 """Last step to a nearest point, in a search and at its end."""
 CLOSE = 0.5
 """Distance, in standard deviations, by which a polygon may mistake the nearest place."""
@@ -279,7 +279,7 @@ class CurveMisfit:
         if not len(have):
             return usable, None
         which = np.asarray(which)
-        starts = [self._guesses(curves[k], which[k], frequency_scale) for k in have]
+        starts = [self._guesses(curves[k], int(which[k]), frequency_scale) for k in have]
         lane = np.concatenate([np.full(len(s[0]), k) for k, s in zip(have, starts, strict=True)])
         point, depth, frequency = (np.concatenate(part) for part in zip(*starts, strict=True))
         # Like with like: a batch takes as long as its longest contact.
@@ -308,9 +308,9 @@ class CurveMisfit:
             )
 
         nearest = in_batches(find, len(lane))
-        # The few that creep, next to folds, go on by themselves.
-        slow = np.flatnonzero(~(nearest.settled if precisely else nearest.found))
-        if len(slow):
+        slow = np.flatnonzero(~nearest.settled)
+        # The few that creep, next to folds; a search does without the last of their way.
+        if precisely and len(slow):
             again = in_batches(lambda i: find(slow[i], MANY_ROUNDS), len(slow))
             nearest = jax.tree.map(lambda a, b: _put(a, slow, b), nearest, again)
         # Of several guesses the one that came nearest.

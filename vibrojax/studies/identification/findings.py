@@ -74,4 +74,4 @@ def _runs(residual: np.ndarray) -> float:
     runs = 1 + int(np.sum(signs[1:] != signs[:-1]))
     mean = 1 + 2 * above * below / total
     variance = (mean - 1) * (mean - 2) / (total - 1)
-    return (runs - mean) / np.sqrt(variance)
+    return float((runs - mean) / np.sqrt(variance))

@@ -57,7 +57,9 @@ def _affine(point, args):
 def _reduced(residual: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the same least squares in as many rows as there are unknowns, and one."""
     both = np.concatenate([jacobian, residual[..., None]], axis=2)
-    rows = np.linalg.qr(both, mode="r")
+    missing = max(both.shape[2] - both.shape[1], 0)
+    both = np.pad(both, ((0, 0), (0, missing), (0, 0)))
+    rows = np.asarray(np.linalg.qr(both, mode="r"))
     return rows[:, :, -1], rows[:, :, :-1]
 
 

@@ -4,6 +4,8 @@ Following a curve is dear and goes many lanes at a time, so proposals are drawn 
 before the chain runs: independent ones, from a Student distribution about the minimum.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +15,7 @@ from vibrojax._checks import check_count
 from vibrojax.results.identification import Identification
 from vibrojax.results.posterior import Posterior
 
-HEAVINESS = 5.0
+HEAVINESS = 5
 """Degrees of freedom of the proposals: tails heavier than the posterior's."""
 WIDER = 1.2
 BATCH = 32
@@ -35,7 +37,8 @@ def sample(fit: Identification, draws: int, *, evaluations: int = 256, seed: int
             f"{'; '.join(f'{n}: {s}' for n, s in fit.identifiability.items())}."
         )
     low, high = fit.problem.limits
-    student = stats.multivariate_t(fit.point, WIDER * fit.covariance, df=HEAVINESS, seed=seed)
+    spread: Any = WIDER * fit.covariance
+    student = stats.multivariate_t(fit.point, spread, df=HEAVINESS, seed=seed)
     points = np.reshape(student.rvs(evaluations), (evaluations, -1))
     points = points[np.all((points >= low) & (points <= high), axis=1)]
     proposal = np.atleast_1d(student.logpdf(points))
@@ -54,7 +57,7 @@ def sample(fit: Identification, draws: int, *, evaluations: int = 256, seed: int
         index = jax.random.randint(key, (), 0, len(points))
         return jax.tree.map(lambda a: a[index], table)
 
-    chain = blackjax.irmh(
+    chain: Any = blackjax.irmh(
         lambda at: at["target"], propose, lambda start, end: end.position["proposal"]
     )
     keys = jax.random.split(jax.random.key(seed), draws)

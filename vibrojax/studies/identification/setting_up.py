@@ -16,7 +16,7 @@ from vibrojax.studies.identification.coordinates import Coordinate, coordinate_o
 from vibrojax.studies.identification.curve_misfit import CurveMisfit
 from vibrojax.studies.identification.fold_misfit import FoldMisfit
 from vibrojax.studies.identification.history_misfit import HistoryMisfit
-from vibrojax.studies.identification.problem import Part, Problem
+from vibrojax.studies.identification.problem import Misfit, Part, Problem
 from vibrojax.systems.base import AbstractSystem
 
 OBJECTIVES = ("distance", "pointwise", "folds")
@@ -165,10 +165,16 @@ def problem_of(given: Given, repetitions: Sequence[tuple[Measurement, ...]]) -> 
         sample = given.make(**static, **fixed, **values)
         if not isinstance(sample, AbstractSystem):
             raise ValueError(f"make_system must return a system, got {sample!r}.")
-        if isinstance(first, MeasuredHistory):
-            misfit = HistoryMisfit(given.make, names, fixed, static, same)
+        histories = [m for m in same if isinstance(m, MeasuredHistory)]
+        curves = [m for m in same if isinstance(m, MeasuredCurve)]
+        if histories and curves:
+            raise ValueError("Repetitions must hold curves and histories in the same order.")
+        misfit: Misfit
+        if histories:
+            misfit = HistoryMisfit(given.make, names, fixed, static, histories)
         else:
-            misfit = _curve_misfit(given, names, fixed, static, same, sample, list(values.values()))
+            start_values = list(values.values())
+            misfit = _curve_misfit(given, names, fixed, static, curves, sample, start_values)
         parts.append(Part(misfit, unknowns))
     problem = Problem(parts, coordinates)
     count = sum(m.size for m in repetitions[0])
@@ -221,14 +227,16 @@ def _check_overlap(misfit: CurveMisfit, natural: np.ndarray) -> None:
 
 def check_contact(problem: Problem, point: np.ndarray, repetitions: int) -> None:
     """Raise `ValueError` where a fit of nothing but the stops meets data without contact."""
-    if not all(isinstance(part.misfit, CurveMisfit) for part in problem.parts):
+    parts = [(p.misfit, list(p.unknowns)) for p in problem.parts]
+    curves = [(m, u) for m, u in parts if isinstance(m, CurveMisfit)]
+    if len(curves) < len(parts):
         return
     # Numbers a little off: those of the stops change nothing without contact.
     points = point + np.vstack([np.zeros(len(point)), 1e-2 * np.eye(len(point))])
     numbers = problem.numbers(points)
     for which in range(repetitions):
         residual = np.concatenate(
-            [p.misfit.without_contact(numbers[:, list(p.unknowns)], which) for p in problem.parts],
+            [misfit.without_contact(numbers[:, unknowns], which) for misfit, unknowns in curves],
             axis=1,
         )
         squares, count = float(residual[0] @ residual[0]), residual.shape[1]

@@ -43,7 +43,7 @@ def restarts(point: np.ndarray, coordinates: tuple[Coordinate, ...]) -> np.ndarr
 
 def spread_starts(point: np.ndarray, coordinates: tuple[Coordinate, ...], count: int) -> np.ndarray:
     """Starts spread evenly (Halton) within the bounds, or a decade around the guess."""
-    shares = qmc.Halton(len(point), seed=0).random(count)
+    shares = qmc.Halton(len(point), scramble=False).random(count + 1)[1:]
     low, high = np.empty(len(point)), np.empty(len(point))
     for k, c in enumerate(coordinates):
         bottom, top = c.limits

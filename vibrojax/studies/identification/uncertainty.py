@@ -91,6 +91,13 @@ def _judge(
     blind: bool,
 ) -> tuple[tuple[float, float], str | None]:
     """Interval of one number, and what keeps it from being identified, if anything."""
+    if coordinate.kind == "asinh":
+        # The misfit is a parabola in the number itself; the coordinate only helps the search.
+        slope = float(coordinate.slope(point))
+        number = float(coordinate.number(point))
+        ahead, deviation = number + slope * (ahead - point), slope * deviation
+        coordinate = coordinate._replace(kind="linear", scale=1.0)
+        point = number
     low, high = coordinate.limits
     percent = f"{100 * confidence:g} %"
     if blind or not np.isfinite(deviation):
@@ -112,7 +119,8 @@ def _judge(
                 f"not identifiable: the data only bound it, at most {ends[1]:.3g} ({percent})",
             )
         return ends, f"not identifiable: the data only bound it, at least {ends[0]:.3g} ({percent})"
-    ends = tuple(float(coordinate.number(point + w * quantile * deviation)) for w in (-1, 1))
+    reach = quantile * deviation
+    ends = float(coordinate.number(point - reach)), float(coordinate.number(point + reach))
     if coordinate.kind == "log" and quantile * deviation > WIDE:
         factor = np.exp(min(2 * quantile * deviation, 700.0))
         return ends, f"not identifiable: the {percent} interval covers a factor of {factor:.3g}"
