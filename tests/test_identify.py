@@ -16,7 +16,6 @@ from vibrojax.studies.identification.uncertainty import influence, uncertainty
 DATA = Path(__file__).parent / "data"
 SWEEPS = json.loads((DATA / "sweeps.json").read_text())["cases"]
 GUESS = dict(stiffness=3000.0, damping=1e-4)
-CASE = "default"
 
 
 def listed(name):
@@ -56,14 +55,8 @@ def name():
 
 @pytest.fixture(scope="module")
 def make(rig):
-    def make(stiffness=5500.0, damping=5e-5, gap=0.4e-3, damping_ratio=0.018, num_modes=5):
-        return rig(
-            stiffness=stiffness,
-            damping=damping,
-            gap=gap,
-            damping_ratio=damping_ratio,
-            num_modes=num_modes,
-        )
+    def make(stiffness=5500.0, damping=5e-5, gap=0.4e-3):
+        return rig(stiffness=stiffness, damping=damping, gap=gap)
 
     return make
 
@@ -179,10 +172,14 @@ def test_the_gap_too(make, name):
 
 
 @pytest.mark.slow
-def test_too_few_modes_are_noticed(make, name):
-    fit = vj.identify(make, measured(5, name=name), GUESS, num_modes=1)
-    assert fit.reduced_chi_square > 1.5
+def test_a_wrong_model_is_noticed(rig, name):
+    def printed(stiffness=5500.0, damping=5e-5):
+        return rig(stiffness=stiffness, damping=damping, formulation="as_printed")
+
+    fit = vj.identify(printed, measured(5, name=name), GUESS)
+    assert fit.reduced_chi_square > 10
     assert any("does not explain" in w for w in fit.warnings)
+    assert any("same sign" in w for w in fit.warnings)
 
 
 @pytest.mark.slow
@@ -217,7 +214,7 @@ def test_the_posterior_agrees_with_the_interval(make, name):
     assert posterior.effective_size > 50
     for n in fit.names:
         width = fit.interval[n][1] - fit.interval[n][0]
-        np.testing.assert_allclose(posterior.interval[n], fit.interval[n], atol=0.2 * width)
+        np.testing.assert_allclose(posterior.interval[n], fit.interval[n], atol=0.25 * width)
     told = fit.what_next("damping", gap=[0.3e-3, 0.5e-3])
     assert told.best.deviation < 0.9
     assert {c.changes["gap"] for c in told.candidates} == {0.3e-3, 0.5e-3}

@@ -46,7 +46,7 @@ def draw_points(axes: Axes, curve: dict[str, Any], what: str = "amplitude", **st
 def draw_curve(axes: Axes, curve: dict[str, Any], color: str, label: str, width: float = 1.8):
     """Draw a fitted curve, its unstable part dashed."""
     x, y = np.array(curve["curve_frequency"]), np.array(curve["curve_amplitude"])
-    gone = np.array(curve["break"], bool)
+    gone = ~np.array(curve["continues"], bool)
     unstable = np.array(curve["unstable"], bool)
     broken = np.where(gone, np.nan, y)
     # The point next to a change belongs to both, so that the line has no gap.
@@ -132,7 +132,10 @@ def draw_early(results: dict[str, Any], curves: dict[str, Any], path: Path) -> N
             color=colors[objective],
         )
     spread.set_ylabel(UNITS["stiffness"], fontsize=LABEL)
-    spread.set_title("Stiffness of 8 draws; dashed: truth", fontsize=LABEL - 1, loc="left")
+    spread.set_ylim(4000, 7000)  # some intervals of pointwise go far beyond
+    spread.set_title(
+        "Stiffness of 8 draws, cut off at 4000 and 7000", fontsize=LABEL - 1, loc="left"
+    )
     legend(figure, close, 5)
     figure.savefig(path)
 

@@ -208,7 +208,7 @@ def nearest_points(
         way=far,
         step=jnp.zeros(points),
         found=jnp.zeros(points, bool),
-        frequency=frequency,
+        frequency=jnp.asarray(frequency),
         channels=jnp.zeros((points, sensor.channels)),
         residual=jnp.zeros((points, size)),
         derivative=jnp.zeros((points, size, number)),

@@ -140,7 +140,9 @@ class Identification:
         return profile(self, name, points=points, reach=reach)
 
     def sample(self, draws: int = 1000, *, seed: int = 0) -> "Posterior":
-        """Sample the posterior (uniform prior in the coordinates of the search) with blackjax.
+        """Sample the posterior with blackjax: 256 evaluations, independent proposals.
+
+        The prior is uniform in the logarithm of what moves in log, else in the number.
 
         Raises `ImportError` without blackjax, which is optional: `pip install "vibrojax[sample]"`.
         """

@@ -47,6 +47,9 @@ def sample(fit: Identification, draws: int, *, evaluations: int = 256, seed: int
         [_costs(fit, points[i : i + BATCH]) for i in range(0, len(points), BATCH)]
     )
     target = -(cost - fit.chi_square) / 2 / excess
+    for k, c in enumerate(fit.problem.coordinates):
+        if c.kind == "asinh":  # a uniform prior in the number, as its interval has it
+            target = target + np.log(c.slope(points[:, k]))
     table = {
         "point": jnp.asarray(points),
         "target": jnp.asarray(target),
