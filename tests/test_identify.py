@@ -1,6 +1,7 @@
 """Identification from measured curves: recovery, uncertainty, and what it says of poor data."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.studies.identification.coordinates import coordinate_of
 from vibrojax.studies.identification.curve_misfit import CurveMisfit
+from vibrojax.studies.identification.findings import modes_left_out
 from vibrojax.studies.identification.least_squares import LevenbergMarquardt
 from vibrojax.studies.identification.uncertainty import influence, uncertainty
 
@@ -287,6 +289,15 @@ def test_a_report_and_a_dataset(fit, tmp_path):
 
 
 # The parts
+
+
+def test_modes_left_out_are_named(rig):
+    """One mode fitted to a motion of five gives 2039 N/m for 5500; no misfit shows it."""
+    (said,) = modes_left_out(rig(num_modes=1, stiffness=2039.0), 20.0)
+    assert "num_modes=1" in said
+    shift = float(re.search(r"by about ([\d.e+]+) N/m", said).group(1))
+    assert 2039 + shift == pytest.approx(5500, rel=0.1)
+    assert modes_left_out(rig(), 75.0) == []
 
 
 def test_coordinates_hold_their_bounds():

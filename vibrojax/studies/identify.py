@@ -9,7 +9,7 @@ from vibrojax._checks import check_count, check_range
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.results.identification import Alternative, Identification, Prediction
 from vibrojax.studies.identification.curve_misfit import Curve, CurveMisfit
-from vibrojax.studies.identification.findings import early_jumps, misfit
+from vibrojax.studies.identification.findings import early_jumps, misfit, modes_left_out
 from vibrojax.studies.identification.least_squares import LevenbergMarquardt, Search
 from vibrojax.studies.identification.problem import Problem
 from vibrojax.studies.identification.setting_up import (
@@ -276,7 +276,7 @@ class _Fits:
                 )[0]
                 width = 1 + part.misfit.sensor.channels
                 signed = _signed(own[: m.size * width].reshape(m.size, width))
-                tolerance = max(2 * self.last, 1e-3)
+                tolerance = max(4 * self.last, 1e-3)
                 warnings += early_jumps(m, curve, part.misfit.unit, tolerance)
                 predictions.append(_prediction(m, curve, signed))
                 weights.append(
@@ -289,6 +289,14 @@ class _Fits:
                 weights.append(influence(own, jacobian[rows], 1))
                 warnings += misfit(reduced, freedom, own)
         estimate = dict(zip(names, map(float, numbers[0]), strict=True))
+        stiff = [n for n, a in self.asked.arguments.items() if "stiffness" in a]
+        if stiff:
+            first, m = names.index(stiff[0]), self.data[k][0]
+            fitted = {
+                a: estimate[own_name(self.asked, a, m, 0)] for a in self.asked.arguments.values()
+            }
+            rig = self.asked.make(**self.asked.numbers, **m.parameters, **fitted)
+            warnings += modes_left_out(rig, float(known.deviation[first]))
         return Identification(
             estimate=estimate,
             interval={

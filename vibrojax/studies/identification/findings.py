@@ -1,13 +1,16 @@
-"""What a person should know of a fit: misfit, jumps that came early, contact that never was."""
+"""What a person should know of a fit: misfit, jumps that came early, modes left out."""
 
 import numpy as np
 from scipy import stats
 
+from vibrojax.beam import Cantilever
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.studies.identification.curve_misfit import Curve
+from vibrojax.systems.base import AbstractSystem
+from vibrojax.systems.impacting_beam import ImpactingBeam
 
-POOR = 1.5
-"""Reduced chi-square from which the model is said not to explain the data."""
+UNLIKELY = 5e-3
+"""Probability of a larger misfit by chance from which the model does not explain the data."""
 
 
 def early_jumps(measured: MeasuredCurve, curve: Curve, unit: float, tolerance: float) -> list[str]:
@@ -42,14 +45,15 @@ def early_jumps(measured: MeasuredCurve, curve: Curve, unit: float, tolerance: f
 def misfit(reduced: float, degrees_of_freedom: int, residual: np.ndarray) -> list[str]:
     """Say so when the model does not explain the data, or the deviations are not what they were."""
     sentences = []
-    if reduced > POOR:
+    square = reduced * degrees_of_freedom
+    if stats.chi2.sf(square, degrees_of_freedom) < UNLIKELY:
         sentences.append(
             f"The model does not explain the data: the reduced chi-square is {reduced:.3g}. The "
             "formulation, the number of modes, a number held fixed or the deviations given are "
             "wrong, or this is not the best minimum; the intervals are widened accordingly, and "
             "still say nothing about a bias."
         )
-    elif stats.chi2.cdf(reduced * degrees_of_freedom, degrees_of_freedom) < 1e-6:
+    elif stats.chi2.cdf(square, degrees_of_freedom) < 1e-6:
         sentences.append(
             f"The fit is better than the deviations allow (reduced chi-square {reduced:.3g}): they "
             "are probably too large, and so are the intervals."
@@ -75,3 +79,43 @@ def _runs(residual: np.ndarray) -> float:
     mean = 1 + 2 * above * below / total
     variance = (mean - 1) * (mean - 2) / (total - 1)
     return float((runs - mean) / np.sqrt(variance))
+
+
+def modes_left_out(system: AbstractSystem, deviation: float) -> list[str]:
+    """Say by how much the modes that are not kept shift a contact stiffness.
+
+    They act as a spring in series with the stop: their share of the static flexibility of the beam
+    there is taken for the stop's own. No misfit shows it. `deviation` is that of the stiffness, N/m.
+    """
+    if not isinstance(system, ImpactingBeam):
+        return []
+    equations = system.equations()
+    kept = np.asarray(equations.stop_map) ** 2 / np.asarray(
+        equations.modal_mass * equations.angular_frequency**2
+    )
+    sentences = []
+    for stop, flexibility in zip(system.stops, kept.sum(axis=1), strict=True):
+        law = stop.law.linear_coefficients()
+        if law is None:
+            continue
+        stiffness = float(law[0])
+        missing = _static_flexibility(system.beam, float(stop.position)) - float(flexibility)
+        share = stiffness * missing
+        shift = stiffness * share / (1 - share) if share < 1 else np.inf
+        if shift > deviation:
+            much = f"by about {shift:.3g} N/m" if np.isfinite(shift) else "by far"
+            sentences.append(
+                f"With num_modes={system.num_modes}, {missing:.3g} m/N of the beam's static "
+                f"flexibility at the stop is left out, so the stiffness comes out too low, {much}. "
+                "No misfit shows this: keep more modes."
+            )
+    return sentences
+
+
+def _static_flexibility(beam: Cantilever, position: float) -> float:
+    """Static deflection of the whole beam by a unit force at its own place, m/N."""
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    s = position * (nodes + 1) / 2
+    inertia = beam.width * beam.thickness**3 / 12 * (1 - beam.taper * s)
+    bending = (position - s) ** 2 / (beam.youngs_modulus * inertia)
+    return float(np.sum(weights * bending) * position / 2 * beam.length**3)
