@@ -11,6 +11,7 @@ SCRIPT = Path(__file__).parents[1] / "experiments" / "identification" / "run.py"
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_quick_run(tmp_path):
     # In a process of its own: other experiments have modules of the same names.
     command = [sys.executable, str(SCRIPT), "--quick", "--to", str(tmp_path)]

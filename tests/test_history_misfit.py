@@ -114,6 +114,7 @@ def test_steady_motion_without_shift_at_a_place_in_space():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("start", [0.0, 1e-2])
 def test_either_of_two_steady_motions_is_found(start):
     """Between the folds a free motion and one with contact coexist."""
@@ -166,6 +167,7 @@ def test_driven_from_rest(aligned):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_stops_that_are_not_linear():
     """Contact that only the splitting can step, at the splitting's own error."""
 

@@ -225,6 +225,7 @@ def test_the_posterior_agrees_with_the_interval(make, name):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_optax_and_the_other_objectives(make, name, fit):
     adam = vj.identify(
         make,

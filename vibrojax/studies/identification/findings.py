@@ -85,7 +85,7 @@ def modes_left_out(system: AbstractSystem, deviation: float) -> list[str]:
     """Say by how much the modes that are not kept shift a contact stiffness.
 
     They act as a spring in series with the stop: their share of the static flexibility of the beam
-    there is taken for the stop's own. No misfit shows it. `deviation` is that of the stiffness, N/m.
+    there is taken for the stop's own. No misfit shows it. `deviation`: of the stiffness, N/m.
     """
     if not isinstance(system, ImpactingBeam):
         return []
@@ -98,8 +98,9 @@ def modes_left_out(system: AbstractSystem, deviation: float) -> list[str]:
         law = stop.law.linear_coefficients()
         if law is None:
             continue
-        stiffness = float(law[0])
-        missing = _static_flexibility(system.beam, float(stop.position)) - float(flexibility)
+        stiffness = float(np.asarray(law[0]))
+        place = float(np.asarray(stop.position))
+        missing = _static_flexibility(system.beam, place) - float(flexibility)
         share = stiffness * missing
         shift = stiffness * share / (1 - share) if share < 1 else np.inf
         if shift > deviation:

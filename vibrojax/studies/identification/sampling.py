@@ -26,7 +26,7 @@ def sample(fit: Identification, draws: int, *, evaluations: int = 256, seed: int
     check_count("draws", draws, least=10)
     check_count("evaluations", evaluations, least=16)
     try:
-        import blackjax
+        import blackjax  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise ImportError(
             'Sampling needs blackjax, which is optional: pip install "vibrojax[sample]".'
