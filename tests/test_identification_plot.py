@@ -17,14 +17,14 @@ FOLDS = {"forward": np.array([1.2]), "backward": np.array([1.1])}
 
 def prediction(measured, forces=False, unit=1.0, **changed):
     steps = np.append(np.diff(CURVE), 0.1)
-    breaks = np.ones(len(CURVE), bool)
-    breaks[-1] = False
+    continues = np.ones(len(CURVE), bool)
+    continues[-1] = False
     fields = {
         "residual": np.linspace(-2.5, 2.5, measured.size),
         "frequency": CURVE * unit,
         "channels": np.stack([HEIGHT, HEIGHT / 2], axis=1)[:, : 1 + forces],
         "unstable": steps < 0,
-        "breaks": breaks,
+        "continues": continues,
         "folds": {name: unit * at for name, at in FOLDS.items()},
     }
     return Prediction(**(fields | changed))
@@ -137,7 +137,7 @@ def test_the_curve_is_whole_and_dashed_between_its_folds():
 
 def test_a_break_is_not_bridged():
     made = prediction(curve())
-    made.breaks[20] = False
+    made.continues[20] = False
     axes = plot_identification(fitted(predictions=(made,))).axes[0]
     solid = [line for line in lines(axes, "-") if len(line.get_xdata()) > 5]
     assert [len(line.get_xdata()) for line in solid] == [21, 10, 21]
@@ -200,7 +200,7 @@ def test_a_long_sentence_stays_in_the_picture():
 
 def test_a_curve_that_was_lost():
     empty = {"channels": np.zeros((0, 1)), "folds": {}}
-    none = {name: np.zeros(0, bool) for name in ("unstable", "breaks")}
+    none = {name: np.zeros(0, bool) for name in ("unstable", "continues")}
     made = prediction(curve(), frequency=np.zeros(0), **empty, **none)
     figure = plot_identification(fitted(predictions=(made,)))
     assert "fitted" not in legend(figure)

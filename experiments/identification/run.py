@@ -106,7 +106,7 @@ def curve_of(fit: vj.Identification, measurement: int = 0) -> dict[str, Any]:
         "curve_frequency": np.round(p.frequency, 5).tolist(),
         "curve_amplitude": np.round(p.channels[:, 0], 4).tolist(),
         "unstable": p.unstable.astype(int).tolist(),
-        "continues": p.breaks.astype(int).tolist(),
+        "continues": p.continues.astype(int).tolist(),
     }
 
 

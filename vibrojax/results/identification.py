@@ -41,7 +41,7 @@ class Prediction:
     """What the sensor shows there: amplitude, then contact force, where measured."""
     unstable: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     """Whether a point lies between two folds."""
-    breaks: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    continues: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     """Whether the next point continues this one."""
     folds: dict[str, np.ndarray] = field(default_factory=dict)
     """Where a `forward` and a `backward` sweep would jump."""

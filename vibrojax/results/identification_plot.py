@@ -216,7 +216,7 @@ def _draw_fitted(axes: Axes, prediction: Prediction, y: np.ndarray) -> None:
 
 def _runs(prediction: Prediction) -> Iterator[tuple[bool, int, int]]:
     """Stretches of the fitted curve without a break: whether unstable, first point, end."""
-    joined = np.asarray(prediction.breaks, bool)[:-1]
+    joined = np.asarray(prediction.continues, bool)[:-1]
     unstable = np.asarray(prediction.unstable, bool)[:-1]
     kind = np.where(joined, unstable.astype(int), -1)
     edges = np.flatnonzero(np.diff(kind)) + 1

@@ -8,7 +8,7 @@ import numpy as np
 from vibrojax._checks import check_count, check_range
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.results.identification import Alternative, Identification, Prediction
-from vibrojax.studies.identification.curve_misfit import Curve, CurveMisfit
+from vibrojax.studies.identification.curve_misfit import CurveMisfit
 from vibrojax.studies.identification.findings import early_jumps, misfit, modes_left_out
 from vibrojax.studies.identification.least_squares import LevenbergMarquardt, Search
 from vibrojax.studies.identification.problem import Problem
@@ -27,6 +27,7 @@ from vibrojax.studies.identification.starts import (
     restarts,
     spread_starts,
 )
+from vibrojax.studies.identification.trial_rigs import Curve
 from vibrojax.studies.identification.uncertainty import influence, uncertainty
 from vibrojax.systems.base import AbstractSystem
 
@@ -336,7 +337,7 @@ def _prediction(m: MeasuredCurve, curve: Curve, signed: np.ndarray) -> Predictio
         frequency=curve.frequency,
         channels=curve.channels,
         unstable=curve.unstable,
-        breaks=curve.breaks,
+        continues=curve.continues,
         folds={
             name: curve.frequency[curve.turning(way)]
             for name, way in (("forward", 1), ("backward", -1))

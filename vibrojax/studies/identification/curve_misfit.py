@@ -1,7 +1,7 @@
 """Distance of measured points from the response curves of many trial rigs at once."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,17 +9,25 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.measured.curve import MeasuredCurve
-from vibrojax.response.condensed import balance, condensed_problem
 from vibrojax.response.continuation import Ending, Settings, begin
-from vibrojax.response.nearest_point import Nearest, Target, nearest_points
-from vibrojax.response.paths import FrequencyPath, Place
-from vibrojax.response.sensor import Sensor, observe
-from vibrojax.response.tracing import Traced, free_motion, in_batches, take, trace_branches
-from vibrojax.studies.continuation_axes import check_equations
+from vibrojax.response.nearest_point import Nearest, Target
+from vibrojax.response.paths import FrequencyPath
+from vibrojax.response.sensor import Sensor
+from vibrojax.response.tracing import Traced, in_batches, take, trace_branches
+from vibrojax.studies.identification.trial_rigs import (
+    SAMPLES,
+    WIDTHS,
+    Curve,
+    Lanes,
+    filled_up,
+    find_nearest,
+    free_and_touching,
+    gaps_of,
+    make_lanes,
+    observe_points,
+)
 from vibrojax.systems.base import AbstractSystem
 
-SAMPLES = 128
-WIDTHS = (8,)
 MOST_POINTS = 300
 LONGEST_STEP = 0.16
 """Along the curve: generous, since nearest points are solved for."""
@@ -38,95 +46,8 @@ LOST = 1e3
 """Residual of every point of a rig without a curve, in standard deviations."""
 
 
-class Curve(NamedTuple):
-    """A traced curve as a sensor sees it."""
-
-    frequency: np.ndarray
-    channels: np.ndarray
-    depth: np.ndarray
-    breaks: np.ndarray
-    """Whether the next point continues this one."""
-    completed: bool
-
-    def turning(self, direction: int) -> np.ndarray:
-        """Whether each point is a fold at which a sweep in this direction (1 or -1) jumps."""
-        before, after = np.roll(self.frequency, 1), np.roll(self.frequency, -1)
-        joined = self.breaks & np.roll(self.breaks, 1)
-        beyond = direction * (self.frequency - np.stack([before, after]))
-        return joined & np.all(beyond > 0, axis=0)
-
-    @property
-    def unstable(self) -> np.ndarray:
-        """Whether each point lies on the way back between two folds."""
-        if len(self.frequency) < 2:
-            return np.zeros(len(self.frequency), bool)
-        change = np.append(np.diff(self.frequency), 0.0)
-        change[~self.breaks] = np.append(0.0, change)[:-1][~self.breaks]
-        forth = np.sign(self.frequency[-1] - self.frequency[0])
-        return change * forth < 0
-
-
-class Lanes(NamedTuple):
-    """Trial rigs: their paths and the derivatives of those in the numbers sought."""
-
-    paths: FrequencyPath
-    slopes: FrequencyPath
-
-
-@eqx.filter_jit
-def _lanes(make, names, static, is_ratio, values, fixed):
-    def one(values, fixed):
-        def build(values):
-            system = make(**static, **fixed, **dict(zip(names, values, strict=True)))
-            equations = system.equations()
-            check_equations(system, equations)
-            unit = equations.angular_frequency[0] if is_ratio else jnp.asarray(2 * jnp.pi)
-            return FrequencyPath(equations, system.drive, unit, None)
-
-        path = build(values)
-        rows = jnp.eye(len(names))
-        slopes = jax.vmap(lambda row: eqx.filter_jvp(build, (values,), (row,))[1])(rows)
-        fill = lambda a, b: jnp.zeros((len(names), *jnp.shape(a))) if b is None else b  # noqa: E731
-        return path, jax.tree.map(fill, path, slopes)
-
-    return jax.vmap(one)(values, fixed)
-
-
-@eqx.filter_jit
-def _observe(paths, sensor, depth, frequency):
-    samples = 2 * (depth.shape[-1] - 1)
-
-    def one(path, depth, frequency):
-        place = Place(path.equations, path.drive, frequency * path.unit)
-        w = place.angular_frequency
-        problem = condensed_problem(place.equations, place.drive, w, samples=samples)
-        at = balance(problem, depth, samples * w / (2 * jnp.pi), samples)
-        return observe(sensor, place, problem, at.force, depth, 1)
-
-    return jax.vmap(one)(paths, depth, frequency)
-
-
-def _gaps(path: FrequencyPath) -> list[Any]:
-    return [stop.gap for stop in path.equations.stops]
-
-
-find_nearest = eqx.filter_jit(nearest_points)
-
-
-@eqx.filter_jit
-def _free_and_touching(paths, frequency):
-    depth = free_motion(paths, frequency, SAMPLES, 1)
-    return depth, jnp.any(jnp.fft.irfft(depth, SAMPLES) > 0, axis=(1, 2))
-
-
 def _both(amplitude: np.ndarray | None, force: np.ndarray | None) -> np.ndarray:
     return np.stack([c for c in (amplitude, force) if c is not None], axis=1)
-
-
-def _filled_up(lanes: int) -> np.ndarray:
-    """Index of the lanes, the last one repeated up to a full width: one kernel for all numbers."""
-    width = WIDTHS[-1]
-    return np.minimum(np.arange(-(-lanes // width) * width), lanes - 1)
 
 
 def _put(whole, at, part):
@@ -189,18 +110,18 @@ class CurveMisfit:
 
     def lanes(self, values: np.ndarray) -> Lanes:
         """Make the trial rigs with these numbers (lanes by names)."""
-        index = _filled_up(len(values))
+        index = filled_up(len(values))
         fixed = {n: jnp.full(len(index), v) for n, v in self.fixed.items()}
         numbers = jnp.asarray(values[index])
-        made = _lanes(self.make, self.names, self.static, self.is_ratio, numbers, fixed)
+        made = make_lanes(self.make, self.names, self.static, self.is_ratio, numbers, fixed)
         return take(Lanes(*jax.device_get(made)), slice(len(values)))
 
     def curves(self, paths: FrequencyPath) -> list[Curve]:
         """Follow the response curves of all rigs over the measured range."""
         lanes = paths.unit.shape[0]
-        padded = take(paths, _filled_up(lanes))
+        padded = take(paths, filled_up(lanes))
         ends = [np.full(padded.unit.shape[0], end) for end in (self.low, self.high)]
-        free = [jax.device_get(_free_and_touching(padded, end)) for end in ends]
+        free = [jax.device_get(free_and_touching(padded, end)) for end in ends]
         # A curve is begun where there is no contact yet.
         from_high = free[0][1] & ~free[1][1]
         found = self._trace(paths, free, from_high[:lanes])
@@ -252,17 +173,17 @@ class CurveMisfit:
         frequency = np.concatenate([t.parameter for part in parts for t in part])
         depth = np.concatenate([t.depth for part in parts for t in part if len(t.parameter)])
         channels = in_batches(
-            lambda i: _observe(take(paths, lane[i]), self.sensor, depth[i], frequency[i]),
+            lambda i: observe_points(take(paths, lane[i]), self.sensor, depth[i], frequency[i]),
             len(lane),
         )
         last = np.cumsum([len(t.parameter) for part in parts for t in part]) - 1
-        breaks = np.ones(len(lane), bool)
-        breaks[last[last >= 0]] = False
+        continues = np.ones(len(lane), bool)
+        continues[last[last >= 0]] = False
         curves = []
         for k, part in enumerate(parts):
             at = np.flatnonzero(lane == k)
             whole = bool(part) and part[0].ending is Ending.completed
-            curves.append(Curve(frequency[at], channels[at], depth[at], breaks[at], whole))
+            curves.append(Curve(frequency[at], channels[at], depth[at], continues[at], whole))
         return curves
 
     def nearest(
@@ -274,7 +195,7 @@ class CurveMisfit:
         precisely: bool,
     ) -> tuple[np.ndarray, Nearest | None]:
         """Find the nearest points; which rigs have a curve, and the points of those, in a row."""
-        usable = np.array([c.breaks.any() for c in curves])
+        usable = np.array([c.continues.any() for c in curves])
         have = np.flatnonzero(usable)
         if not len(have):
             return usable, None
@@ -327,7 +248,7 @@ class CurveMisfit:
         Where two places are about as near there are two guesses.
         """
         size = frequency_scale * self.unit
-        start = np.flatnonzero(curve.breaks)
+        start = np.flatnonzero(curve.continues)
         whole = np.concatenate([curve.frequency[:, None], curve.channels], axis=1)
         if self.objective != "distance":
             return self._branch_ends(curve, which)
@@ -368,7 +289,7 @@ class CurveMisfit:
         Upwards the first crossing along the curve, downwards the last one, which is what a settled
         sweep follows where the curve is an S; without a direction the one nearest in amplitude.
         """
-        start = np.flatnonzero(curve.breaks)
+        start = np.flatnonzero(curve.continues)
         at, ahead = curve.frequency[start], curve.frequency[start + 1]
         wanted = self.frequency[which, :, None]
         crosses = (wanted - at) * (wanted - ahead) <= 0
@@ -390,14 +311,16 @@ class CurveMisfit:
     def without_contact(self, values: np.ndarray, which: int) -> np.ndarray:
         """Residuals (rigs by measured numbers), point by point, of rigs without their stops."""
         paths = self.lanes(values).paths
-        away = eqx.tree_at(_gaps, paths, replace_fn=lambda gap: 0 * gap + FAR_AWAY)
-        index = _filled_up(len(values))
+        away = eqx.tree_at(gaps_of, paths, replace_fn=lambda gap: 0 * gap + FAR_AWAY)
+        index = filled_up(len(values))
         low = np.full(len(index), self.low)
-        depth = np.asarray(_free_and_touching(take(away, index), low)[0])
+        depth = np.asarray(free_and_touching(take(away, index), low)[0])
         lane = np.repeat(np.arange(len(values)), self.points)
         frequency = np.tile(self.frequency[which], len(values))
         channels = in_batches(
-            lambda i: _observe(take(away, lane[i]), self.sensor, depth[lane[i]], frequency[i]),
+            lambda i: observe_points(
+                take(away, lane[i]), self.sensor, depth[lane[i]], frequency[i]
+            ),
             len(lane),
         )
         seen = channels.reshape(len(values), *self.channels[which].shape)

@@ -5,7 +5,7 @@ from scipy import stats
 
 from vibrojax.beam import Cantilever
 from vibrojax.measured.curve import MeasuredCurve
-from vibrojax.studies.identification.curve_misfit import Curve
+from vibrojax.studies.identification.trial_rigs import Curve
 from vibrojax.systems.base import AbstractSystem
 from vibrojax.systems.impacting_beam import ImpactingBeam
 

@@ -7,13 +7,8 @@ import numpy as np
 
 from vibrojax.response.nearest_point import Target
 from vibrojax.response.tracing import take
-from vibrojax.studies.identification.curve_misfit import (
-    LOST,
-    Curve,
-    CurveMisfit,
-    Lanes,
-    find_nearest,
-)
+from vibrojax.studies.identification.curve_misfit import LOST, CurveMisfit
+from vibrojax.studies.identification.trial_rigs import Curve, Lanes, find_nearest
 
 MASKED = 2
 """Points left out on each side of a jump."""

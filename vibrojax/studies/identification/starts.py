@@ -10,7 +10,7 @@ from vibrojax.response.condensed import cell_average
 from vibrojax.response.paths import FrequencyPath
 from vibrojax.response.tracing import free_motion, take
 from vibrojax.studies.identification.coordinates import Coordinate
-from vibrojax.studies.identification.curve_misfit import SAMPLES
+from vibrojax.studies.identification.trial_rigs import SAMPLES
 
 FACTORS = (0.1, 0.3, 3.0, 10.0)
 """By which the stiffness is multiplied where a search ended with a poor fit."""
