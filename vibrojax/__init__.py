@@ -59,6 +59,13 @@ from vibrojax.studies.identification.least_squares import (
 from vibrojax.studies.identification.least_squares import Optax as Optax
 from vibrojax.studies.identify import identify as identify
 from vibrojax.studies.identify import identify_each as identify_each
+from vibrojax.studies.maps.continuation_curves import ContinuationCurve as ContinuationCurve
+from vibrojax.studies.maps.dimensions import zipped as zipped
+from vibrojax.studies.maps.periodic_points import PeriodicPoints as PeriodicPoints
+from vibrojax.studies.maps.planning import MapPlan as MapPlan
+from vibrojax.studies.maps.responses import SettledSweep as SettledSweep
+from vibrojax.studies.maps.store import StoreFull as StoreFull
+from vibrojax.studies.parameter_map import parameter_map as parameter_map
 from vibrojax.studies.resolution import check_resolution as check_resolution
 from vibrojax.studies.single_contact import single_contact_response as single_contact_response
 from vibrojax.systems.base import AbstractEquations as AbstractEquations

@@ -7,12 +7,14 @@ orbit; only a stable orbit, close to where the march was, is accepted, so the ma
 which attractor it is. The rest marches on.
 """
 
+from types import ModuleType
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
+from vibrojax._types import AnyArray
 from vibrojax.results.status import Status
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.method import AbstractMarch
@@ -43,13 +45,16 @@ class Settled(NamedTuple):
     measures: Measures
 
 
-class _Search(NamedTuple):
-    history: Float[Array, "strobes states *lanes"]
-    last_error: Float[Array, "orders *lanes"]
-    streak: Int[Array, "*lanes"]
-    marched: Int[Array, "*lanes"]
-    steps: Int[Array, "*lanes"]
-    done: Bool[Array, "*lanes"]
+class Search(NamedTuple):
+    """How far the march of a lane to its steady state has come."""
+
+    history: Float[AnyArray, "strobes states *lanes"]
+    """Weighted states at the last drive periods, the newest first."""
+    last_error: Float[AnyArray, "orders *lanes"]
+    streak: Int[AnyArray, "*lanes"]
+    marched: Int[AnyArray, "*lanes"]
+    steps: Int[AnyArray, "*lanes"]
+    done: Bool[AnyArray, "*lanes"]
 
 
 def _size(weighted: Float[Array, "..."], axis: int) -> Array:
@@ -76,10 +81,33 @@ def _return_errors(history, max_period):
     return jnp.stack(errors), jnp.stack(returns)
 
 
-def _march_until(march, weight, search, frequency, tolerance, max_period, max_periods):
-    """March all lanes that are not done until their motion returns to within the tolerance."""
+def begin_search(
+    weighted: Float[AnyArray, "states *lanes"], max_period: int, xp: ModuleType = jnp
+) -> Search:
+    """Return the search of lanes that have not marched yet, in arrays of JAX or of numpy."""
+    lanes = weighted.shape[1:]
+    zero = xp.zeros(lanes, xp.int32)
+    history = xp.broadcast_to(weighted, (2 * max_period + 1, *weighted.shape))
+    far = xp.full((max_period, *lanes), xp.inf)
+    return Search(history, far, zero, zero, zero, xp.zeros(lanes, bool))
 
-    def step(search: _Search) -> _Search:
+
+def march_until(
+    march: AbstractMarch,
+    weight: Float[Array, "states *#lanes"],
+    search: Search,
+    frequency: Float[Array, "*lanes"],
+    tolerance: Float[Array, "*#lanes"],
+    max_periods: Int[ArrayLike, ""],
+    still: Int[ArrayLike, ""] = 0,
+) -> Search:
+    """March the lanes that are not done until their motion returns to within the tolerance.
+
+    Stops as soon as no more than `still` lanes are left.
+    """
+    max_period = search.last_error.shape[0]
+
+    def step(search: Search) -> Search:
         live = ~search.done
         state = search.history[0] / weight
         new, steps, _ = march(state, frequency, live.astype(jnp.int32), False)
@@ -93,7 +121,7 @@ def _march_until(march, weight, search, frequency, tolerance, max_period, max_pe
         streak = jnp.where(near & full, search.streak + 1, 0)
         lost = ~jnp.all(jnp.isfinite(history[0]), axis=0)
         done = search.done | (streak >= STEADY) | lost | (marched >= max_periods)
-        return _Search(
+        return Search(
             history=history,
             last_error=jnp.where(live, error, search.last_error),
             streak=jnp.where(live, streak, search.streak),
@@ -102,17 +130,19 @@ def _march_until(march, weight, search, frequency, tolerance, max_period, max_pe
             done=done,
         )
 
-    return lax.while_loop(lambda s: ~jnp.all(s.done), step, search)
+    return lax.while_loop(lambda s: jnp.sum(~s.done) > still, step, search)
 
 
-def _found_period(history, tolerance, max_period):
-    """Smallest n with a return within the tolerance; 0 where there is none."""
+def found_period(search: Search, tolerance: Float[Array, "*#lanes"]) -> Int[Array, "*lanes"]:
+    """Smallest n with a return within the tolerance; 0 where the march did not look settled."""
+    history, max_period = search.history, search.last_error.shape[0]
     errors, returns = _return_errors(history, max_period)
     orders = jnp.arange(1, max_period + 1).reshape((-1,) + (1,) * (errors.ndim - 1))
     # The order is that of the return itself: a slow period-1 motion is not called period 2.
     fits = (returns <= 4 * tolerance) | (errors <= tolerance)
     first = jnp.min(jnp.where(fits, orders, max_period + 1), axis=0)
-    return jnp.where(first <= max_period, first, 0).astype(jnp.int32)
+    first = jnp.where(first <= max_period, first, 0)
+    return jnp.where(search.streak >= STEADY, first, 0).astype(jnp.int32)
 
 
 def polish(
@@ -177,19 +207,13 @@ def settle(
     weight = weight.reshape(weight.shape + (1,) * (lanes + 1 - weight.ndim))
     zero = jnp.zeros(frequency.shape, jnp.int32)
 
-    def restart(state, marched, steps, done):
-        history = jnp.broadcast_to(state * weight, (2 * max_period + 1, *state.shape))
-        far = jnp.full((max_period, *frequency.shape), jnp.inf)
-        return _Search(history, far, zero, marched, steps, done)
-
     def march_and_polish(carry, rule):
         search, state, good, orbit = carry
         limit, try_newton = rule
         done = good | (search.marched >= max_periods)
         search = search._replace(streak=zero, done=done)
-        search = _march_until(march, weight, search, frequency, limit, max_period, max_periods)
-        period = _found_period(search.history, limit, max_period)
-        period = jnp.where(search.streak >= STEADY, period, 0)
+        search = march_until(march, weight, search, frequency, limit, max_periods)
+        period = found_period(search, limit)
         found = search.history[0] / weight
         state, orbit = jnp.where(good, state, found), jnp.where(good, orbit, period)
 
@@ -208,7 +232,7 @@ def settle(
     # Near the limit first, for Newton's method; what that does not settle goes on to the full
     # tolerance. One loop for both, so that the march is compiled once.
     nobody = jnp.zeros(frequency.shape, bool)
-    start = (restart(state, zero, zero, nobody), state, nobody, zero)
+    start = (begin_search(state * weight, max_period), state, nobody, zero)
     limits = jnp.stack([jnp.asarray(NEAR), jnp.asarray(tolerance, float)])
     rules = (limits, jnp.array([1, 0], jnp.int32))
     (final, state, _, period), _ = lax.scan(march_and_polish, start, rules)

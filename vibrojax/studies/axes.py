@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax._checks import nearest
-from vibrojax.systems.base import AbstractSystem, as_arrays
+from vibrojax.systems.base import AbstractSystem
 
 
 class Lanes(eqx.Module):
-    """The systems of a study, stacked along a leading axis when there are axes."""
+    """The systems of a study, stacked along a leading axis."""
 
     systems: AbstractSystem
     sample: AbstractSystem
@@ -24,18 +24,29 @@ class Lanes(eqx.Module):
     description: str
 
     @property
-    def batched(self) -> bool:
-        """Whether there are axes."""
-        return bool(self.axes)
-
-    @property
     def shape(self) -> tuple[int, ...]:
         """Lengths of the axes."""
         return tuple(len(values) for values in self.axes.values())
 
 
-def _alike(systems: list[AbstractSystem]) -> bool:
-    return all(jax.tree.structure(s) == jax.tree.structure(systems[0]) for s in systems)
+def stacked(systems: list[AbstractSystem]) -> AbstractSystem:
+    """Stack systems along a new leading axis of every number.
+
+    Raises `ValueError` for systems of different structure.
+    """
+
+    def alike() -> bool:
+        return all(jax.tree.structure(s) == jax.tree.structure(systems[0]) for s in systems)
+
+    if not alike():
+        systems = [one.with_fixed_structure() for one in systems]
+    if not alike():
+        raise ValueError(
+            "All systems of a study must have the same structure (stops, laws, num_modes): only "
+            "numbers can be axes."
+        )
+    # On the host: a transfer for every number of every lane would cost more than the lanes.
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves).astype(float)), *systems)
 
 
 def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[str, Any]) -> Lanes:
@@ -50,7 +61,7 @@ def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[
                 f"Unknown argument {next(iter(axes))!r}. To sweep a number of the rig, pass a "
                 "function that makes the rig from named numbers, in place of the rig itself."
             )
-        return Lanes(as_arrays(system), system, {}, repr(system))
+        return Lanes(stacked([system]), system, {}, repr(system))
     if not callable(system):
         raise ValueError(f"system must be a system or a function that makes one, got {system!r}.")
     parameters = inspect.signature(system).parameters.values()
@@ -74,15 +85,4 @@ def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[
     for one in made:
         if not isinstance(one, AbstractSystem):
             raise ValueError(f"{system!r} must return a system, got {one!r}.")
-    if not swept:
-        return Lanes(as_arrays(made[0]), made[0], {}, repr(made[0]))
-    arrays = [as_arrays(one) for one in made]
-    if not _alike(arrays):
-        arrays = [as_arrays(one.with_fixed_structure()) for one in made]
-    if not _alike(arrays):
-        raise ValueError(
-            "All systems of a study must have the same structure (stops, laws, num_modes): only "
-            "numbers can be axes."
-        )
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *arrays)
-    return Lanes(stacked, made[0], swept, repr(made[0]))
+    return Lanes(stacked(made), made[0], swept, repr(made[0]))

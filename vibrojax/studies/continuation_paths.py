@@ -21,10 +21,7 @@ def frequency_paths(systems: AbstractSystem, is_ratio: bool, exact: bool) -> Abs
 def paths_of(along: Along, exact: bool) -> AbstractPath:
     """Make the stacked paths of all lanes."""
     if along.name in ("frequency_ratio", "frequency"):
-        lanes = lanes_of(along.make, along.numbers)
-        systems = lanes.systems
-        if not lanes.batched:
-            systems = jax.tree.map(lambda a: jnp.asarray(a)[None], systems)
+        systems = lanes_of(along.make, along.numbers).systems
         return frequency_paths(systems, along.name == "frequency_ratio", exact)
     count = len(along.labels)
     rows = {n: jnp.asarray([labels[n] for labels in along.labels]) for n in along.axes}

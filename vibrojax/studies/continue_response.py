@@ -70,7 +70,7 @@ def continue_response(
         labels=along.labels,
         period=period,
         exact=exact,
-        resolution=Resolution(_samples(method, tolerance, exact), method.harmonics),
+        resolution=Resolution(samples_of(method, tolerance, exact), method.harmonics),
         max_points=max_points,
         longest_step=longest_step,
         ratio_units=along.sample.drive.reference[1],
@@ -83,7 +83,8 @@ def continue_response(
     return Branches(along.axes, tuple(branches)) if along.axes else branches[0]
 
 
-def _samples(method: HarmonicBalance, tolerance: float, exact: bool) -> int:
+def samples_of(method: HarmonicBalance, tolerance: float, exact: bool) -> int:
+    """Return the samples of the balance. Raises `ValueError` for a tolerance out of reach."""
     if exact:  # the balance is only where the exact solution starts from
         return method.samples or 128
     method.check_reach(tolerance)

@@ -1,99 +1,25 @@
 """Forward and backward frequency sweeps, the state carried from frequency to frequency."""
 
-import math
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import ArrayLike
 
 from vibrojax._checks import check_choice, check_count, check_frequencies, check_range, concrete
-from vibrojax.response.settling import Settled, settle
 from vibrojax.results.frequency_response import FrequencyResponse
-from vibrojax.results.status import Status
 from vibrojax.stepping.choice import choose_method
-from vibrojax.stepping.method import AbstractMarch, AbstractMethod
+from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.axes import Lanes, lanes_of
-from vibrojax.studies.jumps import find_jumps
+from vibrojax.studies.swept_lanes import Swept, SweepPlan, numbers_of_jumps, rigs_of, sweep_rigs
 from vibrojax.systems.base import AbstractSystem
 
-EXTENSIONS = 4
-"""Grid steps that a jump is followed beyond the one in which the sweep left its branch."""
 DIRECTIONS = {
     "both": ("forward", "backward"),
     "forward": ("forward",),
     "backward": ("backward",),
 }
-
-
-class _Prepared(eqx.Module):
-    march: AbstractMarch
-    first_frequency: Float[Array, "*lanes"]
-    reference: Float[Array, "*lanes"]
-
-
-@eqx.filter_jit
-def _prepare(method: AbstractMethod, systems: AbstractSystem, batched: bool) -> _Prepared:
-    def one(system):
-        equations = system.equations()
-        reference, _ = system.drive.reference
-        return _Prepared(
-            method.prepare(equations, system.drive),
-            equations.angular_frequency[0],
-            jnp.asarray(reference, float),
-        )
-
-    if not batched:
-        return one(systems)
-    lanes_last = eqx.filter_vmap(one, out_axes=-1)(systems)
-    # One more trailing axis, over which the directions broadcast.
-    return jax.tree.map(lambda a: a[..., None] if eqx.is_array(a) else a, lanes_last)
-
-
-@eqx.filter_jit
-def _visit(
-    march: AbstractMarch,
-    state: Float[Array, "states *lanes"],
-    angular_frequency: Float[Array, "*lanes"],
-    tolerance: Float[Array, ""],
-    max_period: int,
-    max_periods: Int[Array, ""],
-) -> Settled:
-    return settle(
-        march,
-        state,
-        angular_frequency,
-        tolerance=tolerance,
-        max_period=max_period,
-        max_periods=max_periods,
-    )
-
-
-def _ratios(settled: Settled, reference: Array) -> dict[str, np.ndarray]:
-    """Turn the sums of a lane into the variables of the result."""
-    m = settled.measures
-    time = jnp.where(m.time > 0, m.time, 1.0)
-    harmonic = jnp.hypot(m.integral_with_sine, m.integral_with_cosine) * 2 / time
-    lost = settled.status == Status.diverged.value
-    values = {
-        "amplitude_ratio": (m.highest - m.lowest) / 2 / reference,
-        "peak_ratio": jnp.maximum(m.highest, -m.lowest) / reference,
-        "rms_ratio": jnp.sqrt(m.integral_of_square / time) / reference,
-        "first_harmonic_ratio": harmonic / reference,
-        "contact_force": m.force,
-        "contact_fraction": m.contact_time / time,
-        "contacts_per_period": m.contacts / settled.window,
-    }
-    return {name: np.asarray(jnp.where(lost, jnp.nan, v)) for name, v in values.items()} | {
-        "period": np.asarray(settled.period),
-        "status": np.asarray(settled.status),
-        "periods_marched": np.asarray(settled.periods_marched),
-        "steps": np.asarray(settled.steps),
-    }
 
 
 def frequency_sweep(
@@ -138,32 +64,72 @@ def frequency_sweep(
     keyword, a system without a drive, or settings that cannot work. Source: Gandhi and Vyas 2017,
     sec. 3.1.
     """
+    axis, grid = frequency_axis(frequency_ratio, frequency)
+    lanes = lanes_of(system, axes)
+    plan = sweep_plan(
+        lanes.sample,
+        axis,
+        grid,
+        direction=direction,
+        tolerance=tolerance,
+        steps_per_period=steps_per_period,
+        method=method,
+        max_period=max_period,
+        max_periods=max_periods,
+        refine_jumps=refine_jumps,
+    )
+    from tqdm import tqdm
+
+    hidden = None if progress is None else not progress
+    points = len(grid) * len(plan.directions) * int(np.prod(lanes.shape))
+    delay = 2.0 if progress is None else 0.0
+    with tqdm(total=points, desc="sweep", disable=hidden, delay=delay, unit="point") as bar:
+        swept = sweep_rigs(plan, rigs_of(lanes.systems), bar.update)
+    return _result(lanes, plan, swept)
+
+
+def sweep_plan(
+    sample: AbstractSystem,
+    axis: str,
+    grid: np.ndarray,
+    *,
+    direction: str,
+    tolerance: float,
+    steps_per_period: int | None,
+    method: AbstractMethod | None,
+    max_period: int,
+    max_periods: int,
+    refine_jumps: float | None,
+) -> SweepPlan:
+    """Check the settings of a sweep of systems like the sample.
+
+    Raises `ValueError` as `frequency_sweep` does.
+    """
     check_choice("direction", direction, tuple(DIRECTIONS))
     check_count("max_period", max_period)
     check_count("max_periods", max_periods, least=2 * max_period + 1)
     if refine_jumps is not None:
         check_range("refine_jumps", refine_jumps, 1e-9, 1.0, allowed="from 1e-9 to 1, or None")
-    axis, grid = _frequency_axis(frequency_ratio, frequency)
-    lanes = lanes_of(system, axes)
-    check_drive(lanes.sample)
-    method = choose_method(lanes.sample, method, tolerance, steps_per_period)
-    directions = DIRECTIONS[direction]
-    # Its numbers as arrays: a new tolerance does not compile again.
-    numbers = jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float) else x, method)
-    prepared = _prepare(numbers, lanes.systems, lanes.batched)
-    sweep = _Sweep(prepared, axis, grid, directions, tolerance, max_period, max_periods)
-    points, states = sweep.run(progress)
-    curves = {name: _by_frequency([p[name] for p in points], directions) for name in points[0]}
-    found = find_jumps(curves["amplitude_ratio"], curves["status"], directions)
-    found.fill_brackets(np.asarray(grid))
-    if refine_jumps is not None:
-        sweep.refine(found, points, states, refine_jumps)
-    return _result(lanes, sweep, curves, found, method)
+    check_drive(sample)
+    return SweepPlan(
+        axis=axis,
+        grid=grid,
+        directions=DIRECTIONS[direction],
+        method=choose_method(sample, method, tolerance, steps_per_period),
+        tolerance=tolerance,
+        max_period=max_period,
+        max_periods=max_periods,
+        refine_jumps=refine_jumps,
+    )
 
 
-def _frequency_axis(
+def frequency_axis(
     ratio: ArrayLike | Sequence[float] | None, frequency: ArrayLike | Sequence[float] | None
 ) -> tuple[str, np.ndarray]:
+    """Return the name of the frequency axis that was given and its values.
+
+    Raises `ValueError` unless one of the two is given and increases.
+    """
     if (ratio is None) == (frequency is None):
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
     if ratio is not None:
@@ -182,130 +148,25 @@ def check_drive(system: AbstractSystem) -> None:
         )
 
 
-def _by_frequency(points: list[np.ndarray], directions: tuple[str, ...]) -> np.ndarray:
-    """Stack the points of the march as (..., directions, ascending frequencies)."""
-    stacked = np.stack(points, axis=-1)
-    if "backward" in directions:
-        k = directions.index("backward")
-        stacked[..., k, :] = stacked[..., k, ::-1].copy()
-    return stacked
-
-
-class _Sweep:
-    """The march over the frequencies of all lanes and the bisection of their jumps."""
-
-    def __init__(self, prepared, axis, grid, directions, tolerance, max_period, max_periods):
-        self.prepared, self.axis, self.grid = prepared, axis, np.asarray(grid)
-        self.directions, self.max_period = directions, max_period
-        self.tolerance = jnp.asarray(1e-2 * tolerance)
-        self.max_periods = jnp.asarray(max_periods)
-        first = np.asarray(prepared.first_frequency)
-        self.natural_frequency = (first[..., 0] if first.ndim else first) / (2 * np.pi)
-        self.shape = (*first.shape[:-1], len(directions))
-        # From the unit of the axis to rad/s.
-        self.unit = first if axis == "frequency_ratio" else 2 * np.pi
-
-    def visit(self, state, values):
-        """Settle all lanes, each at its value of the frequency axis."""
-        angular = jnp.broadcast_to(jnp.asarray(values * self.unit), self.shape)
-        settled = _visit(
-            self.prepared.march,
-            state,
-            angular,
-            self.tolerance,
-            self.max_period,
-            self.max_periods,
-        )
-        return settled, _ratios(settled, self.prepared.reference)
-
-    def run(self, progress):
-        from tqdm import tqdm
-
-        states_count = self.prepared.march.energy_weight().shape[0]
-        state = jnp.zeros((states_count, *self.shape))
-        points, states = [], []
-        hidden = None if progress is None else not progress
-        delay = 2.0 if progress is None else 0.0
-        bar = tqdm(range(len(self.grid)), "sweep", disable=hidden, delay=delay, unit="point")
-        for i in bar:
-            ends = {"forward": self.grid[i], "backward": self.grid[-1 - i]}
-            settled, values = self.visit(state, np.array([ends[d] for d in self.directions]))
-            state = settled.state
-            points.append(values)
-            states.append(np.asarray(state))
-        return points, states
-
-    def refine(self, found, points, states, width):
-        """Bisect every jump from the state before it until its bracket is narrow."""
-        if not found.any():
-            return
-        n = len(self.grid)
-        at = np.where(found.before >= 0, found.before, 0)
-        lanes = np.indices(self.shape)
-        order = np.array([d == "backward" for d in self.directions])
-        visited = np.where(order, n - 1 - at, at)  # index in the order of the march
-        amplitude = np.stack([p["amplitude_ratio"] for p in points])
-        start = amplitude[(visited, *lanes)]
-        settled_before = np.stack([p["period"] for p in points])[(visited, *lanes)] > 0
-        end = amplitude[(np.minimum(visited + 1, n - 1), *lanes)]
-        history = np.stack(states)  # (visits, states, *lanes)
-        state = np.moveaxis(history, 1, -1)[(visited, *lanes)]
-        state = np.moveaxis(state, -1, 0)
-        low, high = found.bracket[..., 0].copy(), found.bracket[..., 1].copy()  # before, after
-        low = np.where(found.exists, low, self.grid[0])
-        high = np.where(found.exists, high, self.grid[0])
-        scale = 1.0 if self.axis == "frequency_ratio" else float(np.min(self.natural_frequency))
-        span = np.where(found.exists, high - low, 0.0)
-        halvings = max(0, math.ceil(math.log2(max(float(np.max(np.abs(span))) / scale / width, 1))))
-        for _ in range(EXTENSIONS):
-            inside = ~found.exists
-            for _ in range(halvings):
-                middle = (low + high) / 2
-                settled, values = self.visit(jnp.asarray(state), middle)
-                value = values["amplitude_ratio"]
-                same = np.abs(value - start) < np.abs(value - end)
-                # Just past a fold a lane lingers near the lost branch without settling on it.
-                same &= (values["period"] > 0) | ~settled_before
-                inside |= ~same
-                low, high = np.where(same, middle, low), np.where(same, high, middle)
-                start = np.where(same, value, start)
-                state = np.where(same, np.asarray(settled.state), state)
-            if inside.all():
-                break
-            # A coarse grid step can leave the branch ahead of its end: then look further on.
-            high = np.where(inside, high, low + span)
-        found.set_brackets(low, high)
-
-
-def _result(
-    lanes: Lanes, sweep: _Sweep, curves: dict[str, np.ndarray], found, method: AbstractMethod
-) -> FrequencyResponse:
-    shape = lanes.shape
-
+def _result(lanes: Lanes, plan: SweepPlan, swept: Swept) -> FrequencyResponse:
     def over_axes(values: Any) -> Any:
-        if not lanes.batched:
-            return values
-        return values.reshape(*shape, *values.shape[1:])
+        return values.reshape((*lanes.shape, *values.shape[1:]))[()]
 
-    ups, downs = found.up_and_down()
     _, ratio_units = lanes.sample.drive.reference
+    numbers = swept.curves | numbers_of_jumps(swept)
+    numbers["natural_frequency"] = swept.natural_frequency
     return FrequencyResponse(
-        axis=sweep.axis,
-        frequencies=sweep.grid,
-        directions=sweep.directions,
+        axis=plan.axis,
+        frequencies=plan.grid,
+        directions=plan.directions,
         axes=lanes.axes,
         ratio_units=ratio_units,
-        natural_frequency=over_axes(sweep.natural_frequency),
-        jump_up=over_axes(ups.mean(axis=-1)),
-        jump_down=over_axes(downs.mean(axis=-1)),
-        jump_up_bracket=over_axes(ups),
-        jump_down_bracket=over_axes(downs),
         attributes={
             "title": "vibrojax frequency sweep",
             "rig": lanes.description,
-            "method": repr(method),
+            "method": repr(plan.method),
             "vibrojax_version": version("vibrojax"),
             "jax_version": version("jax"),
         },
-        **{name: over_axes(values) for name, values in curves.items()},
+        **{name: over_axes(values) for name, values in numbers.items()},
     )

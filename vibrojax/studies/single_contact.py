@@ -21,7 +21,7 @@ from vibrojax.response.single_contact import (
 from vibrojax.response.single_contact_points import Points, evaluate
 from vibrojax.results.single_contact_response import SingleContactResponse
 from vibrojax.stepping.contact_phases import ContactPhases
-from vibrojax.studies.frequency_sweep import _frequency_axis
+from vibrojax.studies.frequency_sweep import frequency_axis
 from vibrojax.systems.base import AbstractSystem, as_arrays, equations_of
 
 DEFAULT_FRACTIONS = 0.45 * np.linspace(0.04, 1.0, 97) ** 2
@@ -65,7 +65,7 @@ def single_contact_response(
     Raises `ValueError` for another kind of system or stop, a drive without an amplitude, and
     frequencies or contact fractions that are empty, out of range or not increasing.
     """
-    axis, grid = _frequency_axis(frequency_ratio, frequency)
+    axis, grid = frequency_axis(frequency_ratio, frequency)
     fractions = _fractions(contact_fraction)
     reference, ratio_units = system.drive.reference
     size = concrete(reference)

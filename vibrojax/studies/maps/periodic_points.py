@@ -1,0 +1,121 @@
+"""Maps of periodic responses: every point solved on its own, from rest."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from vibrojax._checks import check_count, check_range
+from vibrojax.response.methods import HarmonicBalance, Shooting
+from vibrojax.response.periodic_response import periodic_response
+from vibrojax.results.periodic_response import NUMBERS
+from vibrojax.studies.frequency_sweep import check_drive
+from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid, Points, Tell
+from vibrojax.studies.maps.rig_maker import RigMaker
+from vibrojax.systems.base import AbstractSystem
+
+WIDTH = 32
+"""Points solved side by side."""
+
+
+@eqx.filter_jit
+def _solved(systems, values, is_ratio, period, method, tolerance):
+    def one(system, value):
+        name = "frequency_ratio" if is_ratio else "frequency"
+        at: Any = {name: value}
+        found = periodic_response(system, **at, period=period, method=method, tolerance=tolerance)
+        first = found.frequency / found.frequency_ratio
+        numbers = {n: getattr(found, n) for n in NUMBERS} | {"natural_frequency": first}
+        return numbers, found.initial_state, found.stable, found.status
+
+    return eqx.filter_vmap(one)(systems, values)
+
+
+class PeriodicPoints(AbstractMapResponse):
+    """The motion of a given period at every frequency, reached from rest, stable or not.
+
+    Settings are those of `periodic_response`; points do not know of their neighbours. Raises
+    `ValueError` for a period below 1 or a tolerance that cannot work.
+    """
+
+    period: int = eqx.field(static=True, default=1)
+    tolerance: float = eqx.field(static=True, default=1e-4)
+    method: Shooting | HarmonicBalance | None = None
+
+    def __check_init__(self) -> None:
+        """Refuse settings that cannot work."""
+        check_count("period", self.period)
+        low, high = 0.0, 0.1
+        allowed = "above 0, up to 0.1"
+        check_range("tolerance", self.tolerance, low, high, include_low=False, allowed=allowed)
+
+    def check(self, sample: AbstractSystem, grid: Grid) -> None:
+        """Refuse a system that nothing drives."""
+        check_drive(sample)
+
+    def ways(self) -> tuple[str, list[Any]]:
+        """Return that there is one answer at a frequency."""
+        return "", []
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Those of a `PeriodicResponse`, its stability and whether it was found."""
+        return (*(n for n in NUMBERS if n != "frequency"), "stable", "status")
+
+    @property
+    def offered(self) -> tuple[str, ...]:
+        """What needs no direction."""
+        return (
+            "peak_amplitude_ratio",
+            "peak_frequency",
+            "resonance_shift",
+            "largest_contact_force",
+            "natural_frequency",
+        )
+
+    @property
+    def lane_words(self) -> tuple[str, str, str]:
+        """Whether a motion was found at every frequency."""
+        return "found", "not_found", "diverged"
+
+    def compute(
+        self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid, tell: Tell
+    ) -> Computed:
+        """Solve every point of a block."""
+        systems = jax.device_get(maker.systems(index))
+        lanes = int(np.prod([len(i) for i in index], dtype=int))
+        count = len(grid.values)
+        rig = np.repeat(np.arange(lanes), count)
+        value = np.tile(grid.values, lanes)
+        parts = []
+        for start in range(0, len(rig), WIDTH):
+            at = np.minimum(np.arange(start, start + WIDTH), len(rig) - 1)
+            parts.append(
+                jax.device_get(
+                    _solved(
+                        jax.tree.map(lambda a, at=at: a[rig[at]], systems),
+                        value[at],
+                        grid.axis == "frequency_ratio",
+                        self.period,
+                        self.method,
+                        self.tolerance,
+                    )
+                )
+            )
+            tell(min(WIDTH, len(rig) - start))
+        joined = jax.tree.map(lambda *a: np.concatenate(a)[: len(rig)], *parts)
+        numbers, states, stable, status = joined
+        shape = (lanes, 1, count)
+        curves = {n: numbers[n].reshape(shape) for n in NUMBERS if n != "frequency"}
+        found = (status == 0).reshape(shape)
+        curves["stable"] = np.where(found, stable.reshape(shape), np.nan)
+        curves["status"] = status.reshape(shape).astype(np.int32)
+        return Computed(
+            curves=curves,
+            numbers={"natural_frequency": numbers["natural_frequency"].reshape(lanes, count)[:, 0]},
+            points=Points(states.reshape(*shape, -1), np.where(found, self.period, 0)),
+            lane_status=curves["status"].max(axis=(1, 2)),
+            lane_steps=np.full(lanes, count, np.int64),
+            fold_states={},
+        )

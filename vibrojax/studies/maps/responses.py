@@ -1,0 +1,206 @@
+"""How the lanes of a map are answered: which response, with which settings."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from vibrojax._checks import check_choice
+from vibrojax.results.frequency_response import CURVES as SWEPT_CURVES
+from vibrojax.results.status import Status
+from vibrojax.stepping.method import AbstractMethod
+from vibrojax.studies.frequency_sweep import DIRECTIONS, sweep_plan
+from vibrojax.studies.maps.rig_maker import RigMaker
+from vibrojax.studies.swept_lanes import numbers_of_jumps, states_before_jumps, sweep_rigs
+from vibrojax.systems.base import AbstractSystem
+
+Tell = Callable[[int], object]
+WHOLE = ("period", "status", "periods_marched", "steps")
+"""Variables that are whole numbers."""
+
+
+class Grid(NamedTuple):
+    """The frequencies of a map."""
+
+    axis: str
+    """`frequency_ratio` or `frequency` (Hz)."""
+    values: Float[np.ndarray, " frequencies"]
+    single: bool
+    """Whether it was one number, which then is no axis of the result."""
+
+
+class Points(NamedTuple):
+    """The steady states behind the curves, for derivatives."""
+
+    states: Float[np.ndarray, "lanes ... states"]
+    """(q, q') at drive phase 0."""
+    period: Int[np.ndarray, "lanes ..."]
+    """Drive periods after which they return; 0 where there is no steady state."""
+
+
+class Computed(NamedTuple):
+    """What a response gives for the lanes of a block."""
+
+    curves: dict[str, np.ndarray]
+    """Arrays (lanes, ways, frequencies): ways are directions or crossings."""
+    numbers: dict[str, np.ndarray]
+    """Arrays (lanes,), or (lanes, places) for folds and touches."""
+    points: Points
+    lane_status: Int[np.ndarray, " lanes"]
+    """Index into the `lane_words` of the response."""
+    lane_steps: Int[np.ndarray, " lanes"]
+    fold_states: dict[str, np.ndarray]
+    """States near the folds behind jumps and folds, (lanes, [places], states), for derivatives."""
+
+
+class AbstractMapResponse(eqx.Module):
+    """A kind of response with its settings; what `parameter_map` computes for every lane."""
+
+    @abstractmethod
+    def check(self, sample: AbstractSystem, grid: Grid) -> None:
+        """Refuse, with a `ValueError`, settings or systems that cannot work."""
+
+    @abstractmethod
+    def ways(self) -> tuple[str, list[Any]]:
+        """Return the dimension before the frequency (`direction`, `crossing`) and its values."""
+
+    @property
+    @abstractmethod
+    def variables(self) -> tuple[str, ...]:
+        """Names of the variables over the frequency."""
+
+    @property
+    @abstractmethod
+    def offered(self) -> tuple[str, ...]:
+        """Names of the measures it has."""
+
+    @property
+    @abstractmethod
+    def lane_words(self) -> tuple[str, str, str]:
+        """How a lane can end, from whole to lost: a word each."""
+
+    @abstractmethod
+    def compute(
+        self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid, tell: Tell
+    ) -> Computed:
+        """Answer all lanes of a block; `tell` hears how many points were reached."""
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Memory that a point of a curve takes while its block is computed."""
+        return 8 * (len(self.variables) + 24)
+
+
+class SettledSweep(AbstractMapResponse):
+    """Sweeps with the state carried along, as `frequency_sweep` makes them.
+
+    Settings are those of `frequency_sweep`. Raises `ValueError` for settings that cannot work.
+    """
+
+    direction: str = eqx.field(static=True, default="both")
+    """`both`, `forward` or `backward`."""
+    tolerance: float = eqx.field(static=True, default=1e-4)
+    steps_per_period: int | None = eqx.field(static=True, default=None)
+    method: AbstractMethod | None = None
+    max_period: int = eqx.field(static=True, default=8)
+    max_periods: int = eqx.field(static=True, default=600)
+    refine_jumps: float | None = eqx.field(static=True, default=1e-4)
+
+    def __check_init__(self) -> None:
+        """Refuse an unknown direction; the rest is checked beside the system."""
+        check_choice("direction", self.direction, tuple(DIRECTIONS))
+
+    def _plan(self, sample: AbstractSystem, grid: Grid) -> Any:
+        return sweep_plan(
+            sample,
+            grid.axis,
+            grid.values,
+            direction=self.direction,
+            tolerance=self.tolerance,
+            steps_per_period=self.steps_per_period,
+            method=self.method,
+            max_period=self.max_period,
+            max_periods=self.max_periods,
+            refine_jumps=self.refine_jumps,
+        )
+
+    def check(self, sample: AbstractSystem, grid: Grid) -> None:
+        """Refuse what `frequency_sweep` refuses."""
+        self._plan(sample, grid)
+
+    def ways(self) -> tuple[str, list[Any]]:
+        """Return the directions."""
+        return "direction", list(DIRECTIONS[self.direction])
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Those of a `FrequencyResponse`."""
+        return SWEPT_CURVES
+
+    @property
+    def offered(self) -> tuple[str, ...]:
+        """All but what needs both directions, where there is one."""
+        names = (
+            "peak_amplitude_ratio",
+            "peak_frequency",
+            "resonance_shift",
+            "largest_contact_force",
+            "jump_up",
+            "jump_down",
+            "hysteresis_width",
+            "hysteresis_area",
+            "aperiodic_fraction",
+            "natural_frequency",
+        )
+        both = self.direction == "both"
+        return names if both else tuple(n for n in names if n != "hysteresis_area")
+
+    @property
+    def lane_words(self) -> tuple[str, str, str]:
+        """As bad as its worst point."""
+        return Status.settled.name, Status.aperiodic.name, Status.diverged.name
+
+    def compute(
+        self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid, tell: Tell
+    ) -> Computed:
+        """Sweep the rigs of a block."""
+        sample = maker.sample(tuple(int(i[0]) for i in index))
+        swept = sweep_rigs(self._plan(sample, grid), maker.rigs(index), tell)
+        jumps = numbers_of_jumps(swept)
+        curves = swept.curves
+        worst = curves["status"].max(axis=(1, 2))
+        settled = curves["status"] == Status.settled.value
+        return Computed(
+            curves=curves,
+            numbers={
+                "jump_up": jumps["jump_up"],
+                "jump_down": jumps["jump_down"],
+                "natural_frequency": swept.natural_frequency,
+            },
+            points=Points(swept.states, np.where(settled, curves["period"], 0)),
+            lane_status=worst,
+            lane_steps=curves["steps"].sum(axis=(1, 2), dtype=np.int64),
+            fold_states=states_before_jumps(swept),
+        )
+
+
+def chosen_response(response: Any) -> AbstractMapResponse:
+    """Return the response asked for, by name or with its settings.
+
+    Raises `ValueError` for what is neither.
+    """
+    from vibrojax.studies.maps.continuation_curves import ContinuationCurve
+    from vibrojax.studies.maps.periodic_points import PeriodicPoints
+
+    kinds = {"sweep": SettledSweep, "periodic": PeriodicPoints, "continuation": ContinuationCurve}
+    if isinstance(response, AbstractMapResponse):
+        return response
+    if not isinstance(response, str) or response not in kinds:
+        raise ValueError(
+            f"response must be one of {', '.join(map(repr, kinds))}, or one of vj.SettledSweep(), "
+            f"vj.PeriodicPoints(), vj.ContinuationCurve() with settings, got {response!r}."
+        )
+    return kinds[response]()

@@ -1,0 +1,161 @@
+"""Running the blocks of a map: here, on every device of this host, or on a cluster."""
+
+import itertools
+import os
+import pickle
+import queue
+import threading
+import uuid
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import Any, NamedTuple
+
+import jax
+
+from vibrojax.studies.maps.store import MapStore, StoreFull, is_full, open_map
+from vibrojax.studies.maps.work import MapSpec, MapWork
+
+AHEAD = 4
+"""Blocks that wait at each worker of a cluster."""
+
+
+class Outcome(NamedTuple):
+    """How a block ended."""
+
+    number: int
+    failure: str | None
+    """What went wrong, twice; None where the block is whole."""
+
+
+def attempt(work: MapWork, store: MapStore, number: int) -> Outcome:
+    """Compute a block and write it; once more where that fails.
+
+    Raises `StoreFull` where there is no room left, which trying again would not mend.
+    """
+    failure = ""
+    for _ in range(2):
+        try:
+            block, values = work.compute(number)
+            store.write(block, values)
+        except Exception as error:
+            if is_full(error):
+                raise StoreFull(
+                    error.errno,  # pyright: ignore[reportAttributeAccessIssue]
+                    "The disk of the store is full. What is whole stays: make room and repeat the "
+                    "same call",
+                ) from None
+            failure = f"{type(error).__name__}: {error}"
+        else:
+            return Outcome(number, None)
+    _mark_failed(work, store, number)
+    return Outcome(number, failure)
+
+
+def _mark_failed(work: MapWork, store: MapStore, number: int) -> None:
+    try:
+        store.mark_failed(work.spec.chunks.at(number))
+    except Exception as error:
+        if is_full(error):
+            raise StoreFull(
+                error.errno,  # pyright: ignore[reportAttributeAccessIssue]
+                "The disk of the store is full. Make room and repeat the same call",
+            ) from None
+        raise
+
+
+class _Devices:
+    """The devices of this host, each lent to one thread at a time."""
+
+    def __init__(self) -> None:
+        self.free: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        for device in jax.local_devices():
+            self.free.put(device)
+
+    def attempt(self, work: MapWork, store: MapStore, number: int) -> Outcome:
+        """Run a block on a device that is free."""
+        device = self.free.get()
+        try:
+            with jax.default_device(device):
+                return attempt(work, store, number)
+        finally:
+            self.free.put(device)
+
+
+def run_here(spec: MapSpec, store: MapStore, numbers: list[int]) -> Iterator[Outcome]:
+    """Run blocks in this process; with several devices each has a loop of its own."""
+    work = MapWork(spec)
+    count = len(jax.local_devices())
+    if count == 1:
+        for number in numbers:
+            yield attempt(work, store, number)
+        return
+    devices = _Devices()
+    pool = ThreadPoolExecutor(count)
+    try:
+        running = [pool.submit(devices.attempt, work, store, number) for number in numbers]
+        for done in as_completed(running):
+            yield done.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+class _Task(NamedTuple):
+    """What a worker of a cluster needs besides the number of its block."""
+
+    run: str
+    """One name for all blocks of a call: a worker keeps what it has opened and compiled."""
+    spec: bytes
+    path: str
+
+
+_opened: dict[str, tuple[MapWork, MapStore, _Devices]] = {}
+_opening = threading.Lock()
+
+
+def _attempt_there(task: _Task, number: int) -> Outcome:
+    """Run a block on a worker of a cluster."""
+    with _opening:
+        if task.run not in _opened:
+            _opened.clear()
+            spec: MapSpec = pickle.loads(task.spec)
+            work = MapWork(spec)
+            _opened[task.run] = work, open_map(task.path, spec.chunks), _Devices()
+        work, store, devices = _opened[task.run]
+    return devices.attempt(work, store, number)
+
+
+def run_on_cluster(
+    spec: MapSpec, path: str, numbers: list[int], client: Any, store: MapStore
+) -> Iterator[Outcome]:
+    """Run blocks as tasks of a `dask.distributed` client; workers write their own regions."""
+    import cloudpickle
+    from distributed import as_completed as completed
+
+    task = _Task(uuid.uuid4().hex, cloudpickle.dumps(spec), os.path.abspath(path))
+    waiting = iter(numbers)
+    workers = max(1, sum(client.nthreads().values()))
+    number_of: dict[str, int] = {}
+
+    def submit(number: int) -> Any:
+        key = f"vibrojax-map-{task.run}-{number}"
+        number_of[key] = number
+        return client.submit(_attempt_there, task, number, key=key, pure=False)
+
+    first = [submit(n) for n in itertools.islice(waiting, AHEAD * workers)]
+    ended = completed(first)
+    try:
+        for future in ended:
+            number, error = number_of.pop(future.key), future.exception()
+            if isinstance(error, StoreFull):
+                raise error
+            if error is None:
+                yield future.result()
+            else:  # its workers died again and again
+                store.mark_failed(spec.chunks.at(number))
+                yield Outcome(number, f"{type(error).__name__}: {error}")
+            following = next(waiting, None)
+            if following is not None:
+                ended.add(submit(following))
+    finally:
+        client.cancel([f for f in ended.futures], force=True)
+

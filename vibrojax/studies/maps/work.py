@@ -1,0 +1,99 @@
+"""One block of a map, from its number to the values of all variables."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vibrojax.stepping.choice import choose_method
+from vibrojax.studies.maps.chunks import Block, Chunks
+from vibrojax.studies.maps.dimensions import Arguments
+from vibrojax.studies.maps.gradients import Slopes, curve_slopes, fold_slopes, measure_slopes
+from vibrojax.studies.maps.measures import Measure, measure_lanes
+from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid, Tell
+from vibrojax.studies.maps.rig_maker import RigMaker
+from vibrojax.studies.maps.template import Template
+
+GRADIENT_TOLERANCE = 1e-6
+"""Tolerance of the march that is differentiated: extremes are read off a finer grid."""
+
+
+class MapSpec(NamedTuple):
+    """All that a map is; can be sent to another process."""
+
+    make: Callable[..., Any]
+    arguments: Arguments
+    grid: Grid
+    response: AbstractMapResponse
+    measures: tuple[Measure, ...]
+    keep_curves: bool
+    gradients: tuple[str, ...]
+    chunks: Chunks
+    template: Template
+
+
+class MapWork:
+    """A map ready to be computed, block by block."""
+
+    def __init__(self, spec: MapSpec):
+        self.spec = spec
+        self.maker = RigMaker(spec.make, spec.arguments)
+
+    def compute(
+        self, number: int, tell: Tell = lambda count: None
+    ) -> tuple[Block, dict[str, np.ndarray]]:
+        """Return a block and the values of all variables in it."""
+        spec = self.spec
+        block = spec.chunks.at(number)
+        computed = spec.response.compute(self.maker, block.index, spec.grid, tell)
+        values = self._values(block, computed)
+        inside = block.inside
+        found = {}
+        for name, described in spec.template.variables.items():
+            inner = described.shape[len(spec.template.outer) :]
+            own = values[name][inside].reshape((*block.shape, *inner))
+            found[name] = own.astype(described.dtype)
+        return block, found
+
+    def _values(self, block: Block, computed: Computed) -> dict[str, np.ndarray]:
+        spec = self.spec
+        frequencies = spec.grid.values
+        curves = self._without_ways(computed.curves) | computed.numbers
+        in_ratio = spec.grid.axis == "frequency_ratio"
+        natural = computed.numbers["natural_frequency"]
+        curves["unit_frequency"] = np.ones_like(natural) if in_ratio else natural
+        shared = {"frequencies": frequencies, spec.grid.axis: frequencies}
+        values = measure_lanes(spec.measures, curves, shared)
+        if spec.gradients:
+            values |= self._derivatives(block, computed, curves, shared)
+        if spec.keep_curves:
+            values |= self._without_ways(computed.curves)
+        return values | {"lane_status": computed.lane_status, "lane_steps": computed.lane_steps}
+
+    def _without_ways(self, curves: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Drop the axis of the ways where there is but one without a name."""
+        _, ways = self.spec.response.ways()
+        return dict(curves) if ways else {n: a[:, 0] for n, a in curves.items()}
+
+    def _derivatives(
+        self, block: Block, computed: Computed, curves: dict, shared: dict
+    ) -> dict[str, np.ndarray]:
+        spec = self.spec
+        sample = self.maker.sample(tuple(int(i[0]) for i in block.index))
+        method = choose_method(sample, None, GRADIENT_TOLERANCE, None)
+        names = spec.gradients
+        at_points = curve_slopes(self.maker, block.index, names, spec.grid, method, computed)
+        at_folds = fold_slopes(self.maker, block.index, names, spec.grid.axis, computed)
+        slopes: Slopes = {}
+        for name in names:
+            numbers = {n: a for n, a in at_points[name].items() if n == "natural_frequency"}
+            over = {n: a for n, a in at_points[name].items() if n not in numbers}
+            slopes[name] = self._without_ways(over) | numbers | at_folds[name]
+            if spec.grid.axis == "frequency":
+                slopes[name]["unit_frequency"] = numbers["natural_frequency"]
+        values = measure_slopes(spec.measures, curves, shared, slopes)
+        for name in names:
+            for variable, slope in slopes[name].items():
+                if spec.keep_curves and variable in computed.curves:
+                    values[f"d_{variable}_d_{name}"] = slope
+        return values

@@ -1,0 +1,313 @@
+"""Parametric maps: any number of axes, larger than memory, resumable, here or on a cluster."""
+
+import inspect
+import json
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from jaxtyping import ArrayLike
+
+from vibrojax._checks import check_count, check_positive, nearest
+from vibrojax.studies.frequency_sweep import frequency_axis
+from vibrojax.studies.maps import store as stores
+from vibrojax.studies.maps.chunks import Chunks
+from vibrojax.studies.maps.dimensions import Arguments, Zipped, arguments_of, default_of
+from vibrojax.studies.maps.measures import Measure, measures_of, source_of
+from vibrojax.studies.maps.planning import MapPlan, chunks_of, plan_of
+from vibrojax.studies.maps.responses import AbstractMapResponse, Grid, chosen_response
+from vibrojax.studies.maps.rig_maker import RigMaker
+from vibrojax.studies.maps.running import Outcome, run_here, run_on_cluster
+from vibrojax.studies.maps.template import Template, template_of
+from vibrojax.studies.maps.work import MapSpec
+from vibrojax.systems.base import AbstractSystem
+
+if TYPE_CHECKING:
+    import xarray
+
+
+def parameter_map(
+    make_system: Callable[..., AbstractSystem],
+    *zipped: Zipped,
+    frequency_ratio: ArrayLike | Sequence[float] | None = None,
+    frequency: ArrayLike | Sequence[float] | None = None,
+    response: str | AbstractMapResponse = "sweep",
+    measures: Any = None,
+    keep_curves: bool | None = None,
+    gradients: Sequence[str] = (),
+    store: str | os.PathLike[str] | None = None,
+    chunk_lanes: int | None = None,
+    memory: float = 1e9,
+    client: Any = None,
+    progress: bool | None = None,
+    dry_run: bool = False,
+    **arguments: Any,
+) -> "xarray.Dataset | MapPlan":
+    """Compute the response for every combination of arguments of a rig function.
+
+        maps = vj.parameter_map(rig, frequency_ratio=..., taper=[0, 0.5], gap=[...], store="m.zarr")
+
+    A *lane* is one combination; its curve is over the frequencies. Lanes are computed in chunks,
+    and written to the store chunk by chunk. The same call again continues what was interrupted.
+
+    Parameters:
+        make_system: function from named numbers to a system. Written with jax.numpy (or plain
+            arithmetic) it is traced once for all lanes; any other function is called for each.
+        zipped: groups of arguments that go along one axis together, `vj.zipped(taper=..., gap=...)`.
+        frequency_ratio: drive frequencies over the first natural frequency of the unstopped
+            system, increasing; or one number, which makes a map at one frequency.
+        frequency: the same in Hz; give one of the two.
+        response: `sweep` (settled, both directions), `periodic` or `continuation`, or with settings
+            `vj.SettledSweep(...)`, `vj.PeriodicPoints(...)`, `vj.ContinuationCurve(...)`.
+        measures: what to keep of every curve: names (`peak_amplitude_ratio`, `jump_up`, ...) or
+            functions from a curve (a dict of arrays by name) to a number, in a list, or in a dict
+            by name. By default whole curves and all measures.
+        keep_curves: keep the curves too; by default only where no measures are named.
+        gradients: names of numbers of the rig; every measure (and curve) then comes with its
+            derivative `d_<measure>_d_<number>`, implicit in the steady state.
+        store: path of a Zarr store (a folder); without one the result is held in memory.
+        chunk_lanes: most lanes of a chunk, in place of those chosen from memory and cache.
+        memory: bytes that a chunk may take while it is computed.
+        client: a `dask.distributed.Client`: chunks become its tasks, and its workers write to the
+            store, whose path they have to see.
+        progress: show a progress bar; by default in a terminal.
+        dry_run: compute a few lanes only and return a `MapPlan`: lanes, chunks, memory, time.
+        arguments: of the function: a list is an axis, one value is fixed, `vj.zipped(...)` is an
+            axis of the keyword's name.
+
+    Returns an `xarray.Dataset` with the axes in the order of the call, then `direction` or
+    `crossing`, then the frequency. A chunk that fails twice is flagged in `lane_status`, with a
+    warning, and the rest completes.
+
+    Raises `ValueError`, before anything is computed, for an argument that the function does not
+    take, an axis that is empty or given twice, zipped lists of unequal lengths, a path that is not
+    a store, a store of other settings (the difference is named) or of another version; `StoreFull`
+    (an `OSError`) when the disk is full, after which the same call continues.
+    """
+    grid = _grid(frequency_ratio, frequency)
+    named = arguments_of(make_system, zipped, arguments)
+    chosen = chosen_response(response)
+    offered = tuple(m for m in chosen.offered if not grid.single or m == "natural_frequency")
+    wanted = measures_of(measures, chosen.offered if measures is not None else offered)
+    keep = measures is None if keep_curves is None else keep_curves
+    gradients = _gradients(make_system, named, gradients)
+    if chunk_lanes is not None:
+        check_count("chunk_lanes", chunk_lanes)
+    check_positive("memory", memory, "bytes")
+    if client is not None and store is None and not dry_run:
+        raise ValueError("client= needs store=: the workers write their chunks there.")
+    if client is not None and not hasattr(client, "submit"):
+        raise ValueError(f"client must be a dask.distributed Client, got {client!r}.")
+    found = None if store is None else stores.attributes_of(store)
+    maker = RigMaker(make_system, named)
+    maker.check()
+    sample = maker.sample()
+    chosen.check(sample, grid)
+    workers = sum(client.nthreads().values()) if client else len(jax.local_devices())
+    units = sample.drive.reference[1]
+    template = template_of(named.dimensions, chosen, grid, wanted, keep, gradients, units)
+    _check_names(template)
+    chunks = chunks_of(maker, chosen, grid, chunk_lanes, memory, workers)
+    spec = MapSpec(
+        make_system, named, grid, chosen, wanted, keep, gradients, chunks, template
+    )
+    settings = _settings(spec, maker)
+    if found is not None:
+        assert store is not None
+        stores.check_same(store, found, settings)
+        chunks = _same_chunks(found, chunks, chunk_lanes)
+        spec = spec._replace(chunks=chunks)
+    if dry_run:
+        return plan_of(spec, maker, workers)
+    place = stores.memory_store() if store is None else os.fspath(store)
+    if found is None:
+        attributes = _attributes(spec, sample, settings)
+        made = stores.create(place, template, chunks, attributes)
+    else:
+        made = stores.open_map(place, chunks)
+    _run(spec, made, place, client, progress)
+    return _dataset(place, list(template.variables), in_memory=store is None)
+
+
+def _grid(ratio: Any, frequency: Any) -> Grid:
+    single = np.ndim(ratio if ratio is not None else frequency) == 0
+    axis, values = frequency_axis(ratio, frequency)
+    return Grid(axis, values, single)
+
+
+def _gradients(make: Any, named: Arguments, names: Any) -> tuple[str, ...]:
+    """Return the names of the numbers to differentiate by.
+
+    Raises `ValueError` for one that is no number of the function.
+    """
+    names = (names,) if isinstance(names, str) else tuple(names)
+    axes = {n: v for d in named.dimensions for n, v in d.values.items()}
+    parameters = inspect.signature(make).parameters
+    for name in names:
+        if name not in axes and name not in named.fixed and name not in parameters:
+            known = [*axes, *(p for p in parameters if p not in axes)]
+            raise ValueError(f"gradients: unknown argument {name!r}. {nearest(name, known)}")
+        value = axes[name][0] if name in axes else named.fixed.get(name, default_of(make, name))
+        if isinstance(value, bool | str | None) or np.asarray(value).dtype.kind not in "fiu":
+            raise ValueError(f"gradients: {name} must be a number of the rig, got {value!r}.")
+        if names.count(name) > 1:
+            raise ValueError(f"gradients: {name} is named twice.")
+    return names
+
+
+def _check_names(template: Template) -> None:
+    for name in template.coordinates:
+        if name in template.variables:
+            raise ValueError(
+                f"{name} would be an axis and a result: rename the argument of the function, or "
+                "the measure."
+            )
+
+
+def _settings(spec: MapSpec, maker: RigMaker) -> dict[str, Any]:
+    """All that decides the values of a map, as JSON: stores of other settings are refused."""
+    last = tuple(size - 1 for size in spec.arguments.shape)
+    return {
+        "format": stores.FORMAT,
+        "vibrojax_version": version("vibrojax"),
+        "jax_version": version("jax"),
+        "float64": bool(jax.config.read("jax_enable_x64")),
+        "axes": {
+            d.name: {n: v.tolist() for n, v in d.values.items()} for d in spec.arguments.dimensions
+        },
+        "axis_order": [d.name for d in spec.arguments.dimensions],
+        "fixed": {n: repr(v) for n, v in spec.arguments.fixed.items()},
+        "frequency": {"axis": spec.grid.axis, "values": spec.grid.values.tolist()},
+        "single_frequency": spec.grid.single,
+        "response": repr(spec.response),
+        "measures": {m.name: None if m.own else source_of(m.function) for m in spec.measures},
+        "keep_curves": spec.keep_curves,
+        "gradients": list(spec.gradients),
+        "first_rig": repr(maker.sample()),
+        "last_rig": repr(maker.sample(last)),
+    }
+
+
+def _attributes(
+    spec: MapSpec, sample: AbstractSystem, settings: dict[str, Any]
+) -> dict[str, Any]:
+    """What the dataset says of itself: enough to make it again."""
+    dims = {*spec.template.outer, *(d for v in spec.template.variables.values() for d in v.dims)}
+    others = [name for name in spec.template.coordinates if name not in dims]
+    attributes = {
+        "title": "vibrojax parameter map",
+        "rig": repr(sample),
+        "rig_source": source_of(spec.make),
+        "call": _call(spec),
+        "vibrojax_version": settings["vibrojax_version"],
+        "jax_version": settings["jax_version"],
+        "block": json.dumps(spec.chunks.block),
+    }
+    if others:
+        attributes["coordinates"] = " ".join(others)
+    return attributes | {"vibrojax_map": json.dumps(settings)}
+
+
+def _call(spec: MapSpec) -> str:
+    """The call that makes the map, as Python."""
+    name = getattr(spec.make, "__name__", "make_system")
+    values = spec.grid.values.tolist()
+    parts = [name if name.isidentifier() else "make_system"]
+    for d in spec.arguments.dimensions:
+        inside = ", ".join(f"{n}={v.tolist()!r}" for n, v in d.values.items())
+        if len(d.values) > 1:
+            inside = f"{d.name}=vj.zipped({inside})"
+        parts.append(inside)
+    parts += [f"{n}={v!r}" for n, v in spec.arguments.fixed.items()]
+    parts.append(f"{spec.grid.axis}={values[0] if spec.grid.single else values!r}")
+    settings = repr(spec.response)
+    parts.append(f"response=vj.{settings}")
+    names = ", ".join(repr(m.name) if m.own else m.name for m in spec.measures)
+    parts.append(f"measures=[{names}]")
+    parts.append(f"keep_curves={spec.keep_curves}")
+    if spec.gradients:
+        parts.append(f"gradients={list(spec.gradients)!r}")
+    return f"vj.parameter_map({', '.join(parts)})"
+
+
+def _same_chunks(found: dict[str, Any], chunks: Chunks, asked: int | None) -> Chunks:
+    """Return the chunks of a store that is continued.
+
+    Raises `ValueError` where others are asked for by name.
+    """
+    block = tuple(json.loads(found["block"]))
+    if asked is not None and block != chunks.block:
+        raise ValueError(
+            f"chunk_lanes = {asked} makes chunks of shape {chunks.block}, but the store has "
+            f"{block}. Leave chunk_lanes out to continue it."
+        )
+    return chunks._replace(block=block)
+
+
+def _run(spec: MapSpec, made: stores.MapStore, place: Any, client: Any, progress: Any) -> None:
+    """Compute the chunks that are not whole, and say in the store what is missing."""
+    from tqdm import tqdm
+
+    states = made.states()
+    left = [int(k) for k in np.flatnonzero(states != 0)]
+    lanes = [spec.chunks.at(k).lanes for k in range(spec.chunks.number)] if left else []
+    total = spec.arguments.lanes
+    outcomes: Iterator[Outcome]
+    if client is None:
+        outcomes = run_here(spec, made, left)
+    else:
+        outcomes = run_on_cluster(spec, place, left, client, made)
+    done = total - sum(lanes[k] for k in left)
+    hidden = None if progress is None else not progress
+    failures: dict[int, str] = {}
+    with tqdm(
+        total=total, initial=done, desc="map", unit="lane", unit_scale=True, disable=hidden
+    ) as bar:
+        for outcome in outcomes:
+            if outcome.failure is not None:
+                failures[outcome.number] = outcome.failure
+                bar.set_postfix_str(f"{len(failures)} chunks failed")
+            bar.update(lanes[outcome.number])
+    if left:
+        made.note(
+            failures=json.dumps({str(k): text for k, text in sorted(failures.items())}),
+            summary=_summary(spec, failures, lanes),
+        )
+    if failures:
+        warnings.warn(_summary(spec, failures, lanes), stacklevel=3)
+
+
+def _summary(spec: MapSpec, failures: dict[int, str], lanes: list[int]) -> str:
+    total = spec.arguments.lanes
+    if not failures:
+        return f"All {total:,} lanes in {spec.chunks.number:,} chunks were computed."
+    missing = sum(lanes[k] for k in failures)
+    first = min(failures)
+    where = ", ".join(
+        f"{d.name}[{part.start}:{part.stop}]"
+        for d, part in zip(spec.arguments.dimensions, spec.chunks.at(first).region, strict=True)
+    )
+    return (
+        f"{len(failures):,} of {spec.chunks.number:,} chunks failed twice ({missing:,} of "
+        f"{total:,} lanes, lane_status 'failed'). Chunk {first} at {where}: {failures[first]} "
+        "The same call with the same store again computes only what is missing."
+    )
+
+
+def _dataset(place: Any, names: list[str], in_memory: bool) -> "xarray.Dataset":
+    import xarray
+
+    dataset = xarray.open_zarr(place, consolidated=False, chunks=None)[names]
+    if in_memory:
+        dataset = dataset.load()
+    # Zarr keeps texts of any length; everyone else is used to those of numpy.
+    for name, values in dataset.coords.items():
+        if values.dtype.kind not in "fiubU":
+            texts = np.array([str(text) for text in values.values])
+            dataset = dataset.assign_coords({name: (values.dims, texts, values.attrs)})
+    return dataset
+
