@@ -1,24 +1,15 @@
-"""The command `vibrojax`: sweeps, modes and fits of a rig, from a terminal.
+"""The command `vibrojax`: sweeps, maps, modes and fits of a rig, from a terminal.
 
 Nothing heavy is imported before a command runs.
 """
 
-import os
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import tyro
-
-if TYPE_CHECKING:
-    from vibrojax.modes import Modes
-    from vibrojax.results.frequency_response import FrequencyResponse
-    from vibrojax.systems.impacting_beam import ImpactingBeam
-
-PICTURES = (".png", ".svg", ".pdf")
-DEFAULT_RANGE = (0.8, 1.4, 121)
 
 # Lines that begin with a sign keep their breaks in the help of tyro.
 DESCRIPTION = """\
@@ -27,6 +18,7 @@ Frequency responses of vibrating beams that hit stops.
 Try:
 $ vibrojax sweep             the default rig: a table, sweep.nc and sweep.png
 $ vibrojax sweep rig.toml    your rig (its file explained: examples/uniform_beam.toml)
+$ vibrojax map map.toml      sweeps over any numbers of the rig (examples/map.toml)
 $ vibrojax modes rig.toml    its natural frequencies
 $ vibrojax fit curve.csv     contact stiffness and damping from a measured curve
 $ vibrojax sweep --help      every option of a command
@@ -37,6 +29,10 @@ def _option(text: str, metavar: str, default: str) -> Any:
     return tyro.conf.arg(help=text, metavar=metavar, help_behavior_hint=f"(default: {default})")
 
 
+def _flag(text: str) -> Any:
+    return tyro.conf.arg(help=text, help_behavior_hint="")
+
+
 _RIG_HELP = (
     "rig file in TOML, explained line by line in examples/uniform_beam.toml; the default is "
     "a tapered cantilever 0.2 m long that hits one stop at mid-span"
@@ -45,6 +41,8 @@ _Rig = Annotated[
     Path | None, tyro.conf.Positional, _option(_RIG_HELP, "[RIG.toml]", "the default rig")
 ]
 _Range = tuple[float, float, int] | None
+_Groups = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
+_Flag = tyro.conf.FlagCreatePairsOff[bool]
 
 
 def sweep(
@@ -95,11 +93,7 @@ def sweep(
         Path,
         _option("picture of the response (.png, .svg, .pdf), or none", "FILE", "sweep.png"),
     ] = Path("sweep.png"),
-    quiet: Annotated[
-        bool,
-        tyro.conf.FlagCreatePairsOff,
-        tyro.conf.arg(help="print neither the table nor progress", help_behavior_hint=""),
-    ] = False,
+    quiet: Annotated[_Flag, _flag("print neither the table nor progress")] = False,
 ) -> int:
     """Sweep the drive frequency up and down; print the peak and jumps, write data and a picture.
 
@@ -108,37 +102,114 @@ def sweep(
     $ vibrojax sweep rig.toml --frequency 8 13 201
     $ vibrojax sweep --frequency-ratio 1.0 1.3 61 --direction forward --picture none
     """
-    started = time.perf_counter()
-    data = _target("--output", output, (".nc",))
-    drawing = _target("--picture", picture, PICTURES)
-    if frequency is not None and frequency_ratio is not None:
-        raise ValueError("give --frequency or --frequency-ratio, one of the two.")
-    from vibrojax.rig_file import frequency_range
-    from vibrojax.studies.frequency_sweep import frequency_sweep
+    asked = locals()
+    from vibrojax import cli_sweep
 
-    system, settings = _read(rig)
-    _check_driven(rig, system, "sweep")
-    for name, given in (("frequency", frequency), ("frequency_ratio", frequency_ratio)):
-        if given is not None:
-            settings.pop("frequency", None)
-            settings.pop("frequency_ratio", None)
-            settings[name] = frequency_range(f"--{name.replace('_', '-')}", given)
-    if not {"frequency", "frequency_ratio"} & settings.keys():
-        settings["frequency_ratio"] = frequency_range("--frequency-ratio", DEFAULT_RANGE)
-    told = {"direction": direction, "tolerance": tolerance, "steps_per_period": steps_per_period}
-    settings |= {name: value for name, value in told.items() if value is not None}
-    compiling = _watch_compilation()
-    response = frequency_sweep(system, progress=False if quiet else None, **settings)
-    swept = time.perf_counter()
-    with _Files(data, drawing) as (data_part, drawing_part):
-        if data_part is not None:
-            response.save(data_part)
-        if drawing_part is not None and drawing is not None:
-            response.plot().savefig(drawing_part, format=drawing.suffix[1:])
-    if not quiet:
-        times = (swept - started, sum(compiling), time.perf_counter() - swept)
-        print(_sweep_table(_title("Frequency sweep", rig), response, times, (data, drawing)))
-    return 0
+    return cli_sweep.run_sweep(cli_sweep.SweepOptions(**asked))
+
+
+def map_numbers(
+    rig: _Rig = None,
+    axis: Annotated[
+        _Groups,
+        _option(
+            "numbers to vary, crossed with each other: evenly from LOW to HIGH, with :log at even "
+            "ratios, or value by value. Names are keys of [beam], of the first [[stop]], "
+            "damping_ratio, or amplitude of the drive; units are SI",
+            "NAME=LOW:HIGH:COUNT[:log] | NAME=VALUE,VALUE ...",
+            "[map.axes] of the rig file",
+        ),
+    ] = (),
+    zipped: Annotated[
+        _Groups,
+        _option(
+            "numbers that go along one axis together, value by value (two or more; once for "
+            "each such group)",
+            "NAME=... NAME=... [NAME=...]",
+            "[[map.zipped]] of the rig file",
+        ),
+    ] = (),
+    frequency_ratio: Annotated[
+        tuple[float, ...],
+        _option(
+            "drive frequencies over the first natural frequency, or one",
+            "START END POINTS | VALUE",
+            "[map], else [sweep] of the rig file, else 0.8 1.4 61",
+        ),
+    ] = (),
+    frequency: Annotated[
+        tuple[float, ...],
+        _option("the same in Hz; give one of the two", "START END POINTS | VALUE", "not used"),
+    ] = (),
+    response: Annotated[
+        Literal["sweep", "periodic", "continuation"] | None,
+        _option(
+            "sweep: settled, as of the command sweep; periodic: solved at every frequency, from "
+            "rest; continuation: branches through their folds",
+            "{sweep,periodic,continuation}",
+            "[map] of the rig file, else sweep",
+        ),
+    ] = None,
+    direction: Annotated[
+        Literal["both", "forward", "backward"] | None,
+        _option("of a sweep", "{both,forward,backward}", "[map], else [sweep], else both"),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        _option("relative error to aim at", "FRACTION", "[map], else [sweep], else 1e-4"),
+    ] = None,
+    measures: Annotated[
+        tuple[str, ...],
+        _option("what to keep of every curve", "NAME ...", "[map], else all, and the curves"),
+    ] = (),
+    keep_curves: Annotated[
+        _Flag, _flag("keep whole curves (large), even where measures are named")
+    ] = False,
+    no_curves: Annotated[_Flag, _flag("keep measures only, even where none are named")] = False,
+    gradients: Annotated[
+        tuple[str, ...],
+        _option("differentiate by these numbers too", "NAME ...", "[map] of the rig file, else no"),
+    ] = (),
+    store: Annotated[
+        Path,
+        _option(
+            "Zarr store (a folder) for the map, or none; one that is there is continued. Opens "
+            "with xarray.open_zarr(FOLDER, consolidated=False)",
+            "FOLDER",
+            "map.zarr",
+        ),
+    ] = Path("map.zarr"),
+    picture: Annotated[
+        Path,
+        _option("picture of the map (.png, .svg, .pdf), or none", "FILE", "map.png"),
+    ] = Path("map.png"),
+    summary: Annotated[
+        Path,
+        _option("picture of all measures, or none", "FILE", "map_summary.png"),
+    ] = Path("map_summary.png"),
+    chunk_lanes: Annotated[
+        int | None,
+        _option("most lanes computed at once", "COUNT", "chosen from memory and cache"),
+    ] = None,
+    dry_run: Annotated[
+        _Flag, _flag("compute a few lanes only, print what the map will take, write nothing")
+    ] = False,
+    quiet: Annotated[_Flag, _flag("print neither the table nor progress")] = False,
+) -> int:
+    """Sweep every combination of numbers of a rig; print their range, write data and pictures.
+
+    Options override the rig file, axes by their names. The same command again continues a map
+    that was interrupted. Exit code 1: chunks of the map failed, or files could not be written.
+
+    Try:
+    $ vibrojax map --axis gap=0.2e-3:1e-3:20 taper=0,0.25,0.5 --frequency-ratio 0.9 1.4 51
+    $ vibrojax map rig.toml --axis gap=1e-4:1e-2:30:log --frequency 9.5 --response periodic
+    $ vibrojax map rig.toml --zipped taper=0,0.5 width=0.02,0.03 --axis gap=2e-4:1e-3:9 --dry-run
+    """
+    asked = locals()
+    from vibrojax import cli_map
+
+    return cli_map.run(cli_map.MapOptions(**asked))
 
 
 def modes(
@@ -159,23 +230,9 @@ def modes(
     $ vibrojax modes
     $ vibrojax modes rig.toml --num-modes 8 --picture modes.png --output modes.csv
     """
-    table = _target("--output", output, (".csv",))
-    drawing = _target("--picture", picture, PICTURES)
-    from vibrojax.modes import modes as solve
+    from vibrojax import cli_sweep
 
-    system, _ = _read(rig)
-    count = system.num_modes if num_modes is None else num_modes
-    found = solve(system.beam, count, system.formulation)
-    with _Files(table, drawing) as (table_part, drawing_part):
-        if table_part is not None:
-            table_part.write_text(_modes_csv(found))
-        if drawing_part is not None and drawing is not None:
-            found.plot().savefig(drawing_part, format=drawing.suffix[1:])
-    print(_modes_table(_title("Modes", rig), found))
-    for path in (table, drawing):
-        if path is not None:
-            print(f"  written  {path}")
-    return 0
+    return cli_sweep.run_modes(rig, num_modes, output, picture)
 
 
 def fit(
@@ -258,25 +315,27 @@ def fit(
     $ vibrojax fit curve.csv --columns frequency=f amplitude=tip --units frequency=Hz amplitude=mm
     """
     started = time.perf_counter()
+    from vibrojax.cli_files import check_driven, read, target, watch_compilation
+
     if output.suffix.lower() not in ("", ".json", ".png"):
         raise ValueError(f"--output must be a name without ending, or .json, got {str(output)!r}.")
     if not output.name:
         raise ValueError(f"--output must be the name of a file, got {str(output)!r}.")
     data, picture = output.with_suffix(".json"), output.with_suffix(".png")
-    _target("--output", data, (".json",))
-    _target("--output", picture, (".png",))
+    target("--output", data, (".json",))
+    target("--output", picture, (".png",))
     from vibrojax import cli_fit
     from vibrojax.studies.identify import identify
 
     if not fit or len(set(fit)) < len(fit):
         raise ValueError("--fit must name at least one number, and each of them once.")
-    system, _ = _read(rig)
-    _check_driven(rig, system, "fit")
+    system, _ = read(rig)
+    check_driven(rig, system, "fit")
     make = cli_fit.rig_function(system, fit)
     first = cli_fit.guesses(system, fit, guess)
     within = cli_fit.bounds(fit, bounds)
     measured = cli_fit.read_curve(curve, columns, units, quantity, frame)
-    compiling = _watch_compilation()
+    compiling = watch_compilation()
     found = identify(make, measured, first, within, objective=objective, starts=starts)
     fitted = time.perf_counter()
     cli_fit.save(found, data, picture)
@@ -288,11 +347,13 @@ def fit(
     return 0
 
 
-COMMANDS = {"sweep": sweep, "modes": modes, "fit": fit}
+COMMANDS = {"sweep": sweep, "map": map_numbers, "modes": modes, "fit": fit}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code: 0, 1 (files), 2 (input), 130 (Ctrl-C).
+    """Run the command line and return its exit code.
+
+    It is 0, 1 (files, or a map with chunks that failed), 2 (input) or 130 (Ctrl-C).
 
     Wrong options, and `--help`, leave by `SystemExit` (2 and 0).
     """
@@ -310,7 +371,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"vibrojax: {error}", file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"vibrojax: {error.strerror or error}: {error.filename}.", file=sys.stderr)
+        where = f": {error.filename}" if error.filename else ""
+        print(f"vibrojax: {error.strerror or error}{where}.", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(file=sys.stderr)
@@ -320,160 +382,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run() -> NoReturn:
     """Run the command line as a process."""
     sys.exit(main())
-
-
-def _read(rig: Path | None) -> tuple["ImpactingBeam", dict[str, Any]]:
-    if rig is None:
-        from vibrojax.rigs import default_rig
-
-        return default_rig(), {}
-    from vibrojax.rig_file import read_rig
-
-    return read_rig(rig)
-
-
-def _check_driven(rig: Path | None, system: "ImpactingBeam", command: str) -> None:
-    from vibrojax.drive import NoDrive
-
-    if isinstance(system.drive, NoDrive):
-        raise ValueError(f"Rig file {str(rig)!r}: a {command} needs the table [drive].")
-
-
-def _target(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Path | None:
-    """Refuse a file that could not be written, before anything is computed."""
-    if path is None or str(path).lower() == "none":
-        return None
-    if path.suffix.lower() not in suffixes:
-        allowed = " or ".join(
-            [", ".join(suffixes[:-1]), suffixes[-1]] if suffixes[1:] else suffixes
-        )
-        raise ValueError(f"{option} must end in {allowed}, got {str(path)!r}.")
-    if path.is_dir():
-        raise ValueError(f"{option}: {str(path)!r} is a folder.")
-    if not path.parent.is_dir():
-        raise ValueError(f"{option}: the folder {str(path.parent)!r} does not exist.")
-    if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
-        raise ValueError(f"{option}: {str(path)!r} cannot be written, for lack of permission.")
-    return path
-
-
-class _Files:
-    """Temporary names for the files of a command: all take their places, or none."""
-
-    def __init__(self, *targets: Path | None):
-        self.targets = targets
-        self.parts = [
-            None if path is None else path.with_name(f".{path.name}.{os.getpid()}.part")
-            for path in targets
-        ]
-
-    def __enter__(self) -> list[Path | None]:
-        return self.parts
-
-    def __exit__(self, kind: Any, *_: Any) -> None:
-        for part, target in zip(self.parts, self.targets, strict=True):
-            if part is None or target is None:
-                continue
-            if kind is None:
-                os.replace(part, target)
-            else:
-                part.unlink(missing_ok=True)
-
-
-def _watch_compilation() -> list[float]:
-    """Return a list that fills with the seconds of every compilation."""
-    import jax.monitoring
-
-    seconds: list[float] = []
-
-    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
-        if event.endswith(("backend_compile_duration", "jaxpr_to_mlir_module_duration")):
-            seconds.append(duration_secs)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    return seconds
-
-
-def _title(what: str, rig: Path | None) -> str:
-    return f"{what} of {'the default rig (dimensions assumed)' if rig is None else rig}"
-
-
-def _sweep_table(
-    title: str,
-    response: "FrequencyResponse",
-    times: tuple[float, float, float],
-    files: tuple[Path | None, ...],
-) -> str:
-    import numpy as np
-
-    from vibrojax.results.status import Status
-
-    natural = float(response.natural_frequency)
-    hertz = 1.0 if response.axis == "frequency" else natural  # of one unit of the axis
-    unit = "" if response.ratio_units == "1" else f" {response.ratio_units}"
-    rows: list[tuple[str, str, str]] = [("", "ratio", "Hz")]
-
-    def at(label: str, where: float) -> None:
-        there = np.isfinite(where)
-        ratio = f"{where * hertz / natural:.5f}" if there else "none"
-        rows.append((label, ratio, f"{where * hertz:.4f}" if there else ""))
-
-    at("first natural frequency", natural / hertz)
-    peak = np.nan
-    finite = bool(np.isfinite(response.amplitude_ratio).any())
-    if finite:
-        highest = np.nanmax(response.amplitude_ratio)
-        peak = float(response.frequencies[np.argwhere(response.amplitude_ratio == highest)[0, -1]])
-        at(f"peak, amplitude ratio {highest:.5g}{unit}", peak)
-    at("jump up", float(response.jump_up))
-    at("jump down", float(response.jump_down))
-    at("hysteresis width", float(response.hysteresis_width))
-    wide = max(len(row[0]) for row in rows)
-    lines = [title, *(f"  {a:{wide}}  {b:>9}  {c:>10}".rstrip() for a, b, c in rows)]
-
-    def say(label: str, text: str) -> None:
-        lines.append(f"  {label:{wide}}  {text}")
-
-    if finite:
-        if len(response.directions) == 2:
-            of = "ratio x Hz" if response.axis == "frequency" else "ratio x ratio"
-            say("hysteresis area", f"{float(response.hysteresis_area):9.5g}  {of}")
-        say("resonance shift", f"{100 * (peak * hertz / natural - 1):+9.2f}  %")
-        say("largest contact force", f"{np.nanmax(response.contact_force):9.5g}  N")
-    status, period = np.asarray(response.status), np.asarray(response.period)
-    counts = {s: int((status == s.value).sum()) for s in Status}
-    longer = int((period > 1).sum())
-    inside = f" ({longer} of period 2 or longer)" if longer else ""
-    points = f"{counts[Status.settled]} settled{inside}, {counts[Status.aperiodic]} aperiodic"
-    say(f"points, {status.size}", f"{points}, {counts[Status.diverged]} diverged")
-    total, compiling, writing = times
-    say("time", f"{total:.1f} s (compiling {compiling:.1f} s), writing {writing:.1f} s")
-    written = [str(path) for path in files if path is not None]
-    if written:
-        say("written", ", ".join(written))
-    return "\n".join(lines)
-
-
-def _columns(found: "Modes") -> list[tuple[float, ...]]:
-    import numpy as np
-
-    columns = (found.frequency, found.beta, found.modal_mass, found.participation)
-    return [tuple(map(float, row)) for row in zip(*map(np.asarray, columns), strict=True)]
-
-
-def _modes_table(title: str, found: "Modes") -> str:
-    head = f"  {'mode':>4}  {'frequency, Hz':>13}  {'beta':>10}  {'modal mass, kg':>14}"
-    lines = [f"{title}, {found.formulation} formulation", f"{head}  {'participation':>13}"]
-    for i, (frequency, beta, mass, participation) in enumerate(_columns(found), 1):
-        row = f"  {i:4d}  {frequency:13.6g}  {beta:10.6f}  {mass:14.6g}  {participation:13.6f}"
-        lines.append(row)
-    return "\n".join(lines)
-
-
-def _modes_csv(found: "Modes") -> str:
-    lines = ["mode,frequency_hz,beta,modal_mass_kg,participation"]
-    lines += [",".join([str(i), *map(repr, row)]) for i, row in enumerate(_columns(found), 1)]
-    return "\n".join([*lines, ""])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Rig files: a beam, its stops, its drive and how to sweep it, in TOML."""
+"""Rig files: a beam, its stops, its drive, how to sweep it and a map over its numbers, in TOML."""
 
 import os
 import tomllib
@@ -33,6 +33,10 @@ _TEXT = "a text in quotes"
 _SWITCH = "true or false"
 _RANGE = "[start, end, points]"
 _NUMBER_OR_FALSE = "a number or false"
+_RANGE_OR_NUMBER = "[start, end, points] or one number"
+_TEXTS = "a list of texts in quotes"
+_AXES = "a table [map.axes]"
+_GROUPS = "one or more tables [[map.zipped]]"
 
 _KEYS = {
     "beam": {
@@ -74,6 +78,22 @@ _KEYS = {
         "refine_jumps": _Key(_NUMBER_OR_FALSE),
     },
 }
+_MAP_KEYS = {
+    "response": _Key(_TEXT),
+    "frequency_ratio": _Key(_RANGE_OR_NUMBER),
+    "frequency": _Key(_RANGE_OR_NUMBER),
+    "direction": _Key(_TEXT),
+    "tolerance": _Key(_NUMBER),
+    "measures": _Key(_TEXTS),
+    "keep_curves": _Key(_SWITCH),
+    "gradients": _Key(_TEXTS),
+    "axes": _Key(_AXES),
+    "zipped": _Key(_GROUPS),
+}
+"""Keys of [map], which `examples/map.toml` explains."""
+_SPACED_KEYS = ("start", "end", "points", "spacing")
+_SPACINGS = ("linear", "log")
+_KINDS_OF_RESPONSE = ("sweep", "periodic", "continuation")
 _KINDS_OF_DRIVE = ("base_motion", "point_force")
 
 
@@ -92,6 +112,7 @@ def read_rig(path: str | os.PathLike[str]) -> tuple[ImpactingBeam, dict[str, Any
         [model]   damping_ratio; num_modes (5), formulation ("consistent")
         [sweep]   frequency_ratio or frequency (Hz) = [start, end, points]; direction, tolerance,
                   steps_per_period, max_period, max_periods, refine_jumps (false: do not)
+        [map]     a map over numbers of the rig, for `vibrojax map` (`examples/map.toml`)
 
     Raises `ValueError`, naming the file and the key, when the file cannot be read or is not TOML,
     a table or key is unknown or missing, or a value is of the wrong kind or not possible.
@@ -99,8 +120,24 @@ def read_rig(path: str | os.PathLike[str]) -> tuple[ImpactingBeam, dict[str, Any
     """
     tables = _load(path)
     try:
-        return _system(tables), _sweep_settings(tables)
+        system = _system(tables)
+        _map_settings(tables)
+        return system, _sweep_settings(tables)
     except ValueError as error:
+        raise ValueError(f"Rig file {os.fspath(path)!r}: {error}") from None
+
+
+def read_map(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what the table [map] of a rig file asks for, by key; nothing where there is none.
+
+    Axes are lists of numbers by name, those of [map.axes] under `axes`, each [[map.zipped]] in the
+    list `zipped`. Raises `ValueError` as `read_rig` does.
+    """
+    try:
+        return _map_settings(_load(path))
+    except ValueError as error:
+        if str(error).startswith("Rig file"):
+            raise
         raise ValueError(f"Rig file {os.fspath(path)!r}: {error}") from None
 
 
@@ -124,7 +161,7 @@ def _shown(table: str) -> str:
 
 def _check_keys(table: str, values: Any, label: str) -> dict[str, Any]:
     """Return the keys of one table, each of its kind; numbers become floats."""
-    keys = _KEYS[table]
+    keys = _MAP_KEYS if table == "map" else _KEYS[table]
     if not isinstance(values, dict):
         raise ValueError(f"{table} must be a table that begins with {_shown(table)}.")
     for name in values:
@@ -148,8 +185,16 @@ def _of_kind(kind: str, label: str, value: Any) -> Any:
         return value
     if kind == _SWITCH and isinstance(value, bool):
         return value
-    if kind == _RANGE and isinstance(value, list):
+    if kind in (_RANGE, _RANGE_OR_NUMBER) and isinstance(value, list):
         return frequency_range(label, value)
+    if kind == _RANGE_OR_NUMBER and number:
+        return one_frequency(label, value)
+    if kind == _TEXTS and isinstance(value, list) and all(isinstance(v, str) for v in value):
+        return value
+    if kind == _AXES and isinstance(value, dict):
+        return _axes("[map.axes]", value)
+    if kind == _GROUPS and isinstance(value, list):
+        return [_axes("[[map.zipped]]", group) for group in value]
     raise ValueError(f"{label} must be {kind}, got {_in_toml(value)}.")
 
 
@@ -179,6 +224,60 @@ def frequency_range(label: str, values: Any) -> np.ndarray:
     axis = np.linspace(start, end, points)
     check_frequencies(label, axis, "Hz")
     return axis
+
+
+def one_frequency(label: str, value: float) -> float:
+    """Return a single drive frequency. Raises `ValueError` unless it is finite and above 0."""
+    check_positive(label, value, "Hz" if label.endswith("frequency") else "(ratio)")
+    return float(value)
+
+
+def spaced(
+    label: str, start: float, end: float, points: Any, spacing: Any = "linear"
+) -> list[float]:
+    """Return the values of an axis of a map, `spacing` "linear" or "log" (even ratios).
+
+    Raises `ValueError`, in the name of `label`, for ends that do not increase or are not finite,
+    fewer than 2 points, an unknown spacing, or a start of 0 or less with even ratios.
+    """
+    check_choice(f"Spacing of {label}", spacing, _SPACINGS)
+    check_count(f"Points of {label}", points, least=2)
+    if not np.isfinite([start, end]).all():
+        raise ValueError(f"{label} must be finite, got start {start!r} and end {end!r}.")
+    if end <= start:
+        raise ValueError(
+            f"{label} must start below its end, got start {start!r} and end {end!r}. "
+            "A single value is given as a list of one."
+        )
+    if spacing == "log" and start <= 0:
+        raise ValueError(f"Start of {label} must be above 0 with log spacing, got {start!r}.")
+    between = np.geomspace if spacing == "log" else np.linspace
+    return between(start, end, points).tolist()
+
+
+def _axes(label: str, table: Any) -> dict[str, list[float]]:
+    """Return the values of axes by name: lists of numbers, or {start, end, points, spacing}."""
+    if not isinstance(table, dict):
+        raise ValueError(f"{label} must be a table of axes, got {_in_toml(table)}.")
+    return {name: _values(f"{label} {name}", given) for name, given in table.items()}
+
+
+def _values(label: str, given: Any) -> list[float]:
+    if isinstance(given, list) and given:
+        return [_of_kind(_NUMBER, f"Every value of {label}", value) for value in given]
+    if not isinstance(given, dict):
+        raise ValueError(
+            f"{label} must be a list of numbers, or {{start = ..., end = ..., points = ...}}, got "
+            f"{_in_toml(given)}."
+        )
+    for name in given:
+        if name not in _SPACED_KEYS:
+            raise ValueError(f"unknown key {name!r} in {label}. {nearest(name, _SPACED_KEYS)}")
+    for name in _SPACED_KEYS[:3]:
+        if name not in given:
+            raise ValueError(f"{label} lacks the key {name!r}.")
+    start, end = (_of_kind(_NUMBER, f"{label} {name}", given[name]) for name in ("start", "end"))
+    return spaced(label, start, end, given["points"], given.get("spacing", "linear"))
 
 
 def _within(label: str, build: Any, *args: Any, **numbers: Any) -> Any:
@@ -214,10 +313,11 @@ def _drive(values: Any) -> AbstractDrive:
 
 
 def _system(tables: dict[str, Any]) -> ImpactingBeam:
+    known = (*_KEYS, "map")
     for name, value in tables.items():
-        if name not in _KEYS:
+        if name not in known:
             what = "table" if isinstance(value, dict | list) else "key outside the tables,"
-            raise ValueError(f"unknown {what} {name!r}. {nearest(name, _KEYS)}")
+            raise ValueError(f"unknown {what} {name!r}. {nearest(name, known)}")
     for name in ("beam", "model"):
         if name not in tables:
             raise ValueError(f"the table {_shown(name)} is missing.")
@@ -236,4 +336,17 @@ def _sweep_settings(tables: dict[str, Any]) -> dict[str, Any]:
         _within("[sweep]", check_choice, "direction", settings["direction"], tuple(DIRECTIONS))
     tolerance = settings.get("tolerance", 1e-4)
     _within("[sweep]", check_settings, tolerance, settings.get("steps_per_period"))
+    return settings
+
+
+def _map_settings(tables: dict[str, Any]) -> dict[str, Any]:
+    settings = _check_keys("map", tables.get("map", {}), "[map]")
+    if "frequency" in settings and "frequency_ratio" in settings:
+        raise ValueError("[map] has frequency and frequency_ratio: give one of the two.")
+    response = settings.get("response", "sweep")
+    _within("[map]", check_choice, "response", response, _KINDS_OF_RESPONSE)
+    if "direction" in settings:
+        _within("[map]", check_choice, "direction", settings["direction"], tuple(DIRECTIONS))
+        if response != "sweep":
+            raise ValueError(f"[map] direction is for response = 'sweep', not {response!r}.")
     return settings

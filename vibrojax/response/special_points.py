@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from vibrojax.response.condensed import receptance
 from vibrojax.response.exact_point import ExactPoint
@@ -226,33 +227,40 @@ def _vertex(place, parameter, fallback):
     return place[at] if bend == 0 else place[at] + h * (y[0] - y[2]) / (2 * bend)
 
 
-@eqx.filter_jit
-def _touch(paths, parameter):
-    """Newton's method on the parameter at which the contact-free motion just reaches a stop."""
+class Touch(NamedTuple):
+    """Where the contact-free motion just reaches a stop."""
 
-    def one(path, parameter):
-        def clearance(p):
-            place = path.at(p)
-            zero = jnp.zeros_like(place.angular_frequency)
-            amplitude = place.drive.complex_amplitude(place.angular_frequency, zero)
-            table = receptance(place.equations, place.angular_frequency[None])
-            reach = jnp.abs(amplitude * table.stop_from_input[:, 0])
-            gaps = jnp.stack([jnp.asarray(s.gap, float) for s in place.equations.stops])
-            return jnp.min((gaps - reach) / gaps)
+    parameter: Float[Array, ""]
+    amplitude_ratio: Float[Array, ""]
+    found: Bool[Array, ""]
 
-        def newton(_, p):
-            value, slope = jax.jvp(clearance, (p,), (jnp.ones_like(p),))
-            return p - jnp.clip(value / jnp.where(slope == 0, 1.0, slope), -0.02, 0.02)
 
-        p = jax.lax.fori_loop(0, 12, newton, parameter)
+def touch_near(path: AbstractPath, parameter: Float[Array, ""]) -> Touch:
+    """Solve for the touch near a parameter by Newton's method; differentiable in the path."""
+
+    def clearance(p):
         place = path.at(p)
+        zero = jnp.zeros_like(place.angular_frequency)
+        amplitude = place.drive.complex_amplitude(place.angular_frequency, zero)
         table = receptance(place.equations, place.angular_frequency[None])
-        force = place.drive.complex_amplitude(place.angular_frequency, jnp.zeros_like(p))
-        reference, _ = place.drive.reference
-        amplitude = jnp.abs(force * table.response_from_input[0]) / reference
-        return p, amplitude, jnp.abs(clearance(p)) < 1e-9
+        reach = jnp.abs(amplitude * table.stop_from_input[:, 0])
+        gaps = jnp.stack([jnp.asarray(s.gap, float) for s in place.equations.stops])
+        return jnp.min((gaps - reach) / gaps)
 
-    return jax.vmap(one)(paths, parameter)
+    def newton(_, p):
+        value, slope = jax.jvp(clearance, (p,), (jnp.ones_like(p),))
+        return p - jnp.clip(value / jnp.where(slope == 0, 1.0, slope), -0.02, 0.02)
+
+    p = jax.lax.fori_loop(0, 12, newton, parameter)
+    place = path.at(p)
+    table = receptance(place.equations, place.angular_frequency[None])
+    force = place.drive.complex_amplitude(place.angular_frequency, jnp.zeros_like(p))
+    reference, _ = place.drive.reference
+    amplitude = jnp.abs(force * table.response_from_input[0]) / reference
+    return Touch(p, amplitude, jnp.abs(clearance(p)) < 1e-9)
+
+
+_touch = eqx.filter_jit(jax.vmap(touch_near))
 
 
 def first_touches(

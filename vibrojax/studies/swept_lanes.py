@@ -254,14 +254,19 @@ def _refine(plan: SweepPlan, prepared: Prepared, swept: Swept, unit: np.ndarray)
     swept.jumps.set_brackets(low_high[..., 0], low_high[..., 1])
 
 
-def states_before_jumps(swept: Swept) -> dict[str, np.ndarray]:
-    """Return the states (rigs, states) from which the response jumps up and down, NaN where not."""
+def before_jumps(swept: Swept) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return the states from which the response jumps up and down, and whether they touch nothing.
+
+    States have the shape (rigs, states), NaN where there is no jump.
+    """
     found = {}
     for name, wanted in (("jump_up", swept.jumps.rises), ("jump_down", ~swept.jumps.rises)):
         states = np.full((len(swept.states), swept.states.shape[-1]), np.nan)
+        free = np.zeros(len(states), bool)
         rig, way = np.nonzero(swept.jumps.exists & wanted)
-        states[rig] = swept.states[rig, way, swept.jumps.before[rig, way]]
-        found[name] = states
+        at = rig, way, swept.jumps.before[rig, way]
+        states[rig], free[rig] = swept.states[at], swept.curves["contact_force"][at] == 0
+        found[name] = states, free
     return found
 
 

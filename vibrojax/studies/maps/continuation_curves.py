@@ -17,7 +17,7 @@ from vibrojax.studies.continuation_paths import frequency_paths
 from vibrojax.studies.continuation_plan import Plan, Resolution
 from vibrojax.studies.continue_response import samples_of
 from vibrojax.studies.maps.measures import PLACES
-from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid, Points, Tell
+from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Folds, Grid, Points, Tell
 from vibrojax.studies.maps.rig_maker import RigMaker
 from vibrojax.systems.base import AbstractSystem
 
@@ -128,7 +128,7 @@ class ContinuationCurve(AbstractMapResponse):
             points=Points(np.stack(states), np.where(found, self.period, 0)),
             lane_status=np.where(done, 0, 1),
             lane_steps=np.array([b.ticks for b in branches], np.int64),
-            fold_states={"fold": np.stack([_fold_states(b) for b in branches])},
+            folds={"fold": Folds(*map(np.stack, zip(*map(_folds, branches), strict=True)))},
         )
 
     def _resampled(self, branch: Branch, values: np.ndarray) -> tuple[dict, np.ndarray]:
@@ -154,11 +154,13 @@ def _places(found: np.ndarray) -> np.ndarray:
     return places
 
 
-def _fold_states(branch: Branch) -> np.ndarray:
-    """Return the states at the folds that `_places` keeps."""
+def _folds(branch: Branch) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states at the folds that `_places` keeps, and whether they touch nothing."""
     states = np.full((PLACES, branch.initial_state.shape[1]), np.nan)
+    free = np.zeros(PLACES, bool)
     folds = [point for point in branch.special_points if point.kind == "fold"]
     for k, point in enumerate(folds[:PLACES]):
+        free[k] = point.contact_force == 0
         if point.initial_state is not None:
             states[k] = point.initial_state
-    return states
+    return states, free

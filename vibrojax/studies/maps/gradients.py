@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.response.folds import Fold, fold_response
+from vibrojax.response.paths import frequency_path
+from vibrojax.response.special_points import touch_near
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.maps.measures import STEPWISE, Curve, Measure
 from vibrojax.studies.maps.responses import Computed, Grid
@@ -23,6 +25,8 @@ from vibrojax.systems.base import as_arrays
 WIDTH = 64
 """Points differentiated side by side."""
 FOLD_WIDTH = 16
+SAME = 1e-2
+"""Relative distance up to which a fold is taken for the one behind a jump."""
 
 Slopes = dict[str, dict[str, np.ndarray]]
 """By the name of the number, then by variable."""
@@ -132,15 +136,23 @@ def curve_slopes(
 
 
 @eqx.filter_jit
-def _fold_slopes(make, static, names, numbers, near, axis):
-    def one(numbers, near):
+def _fold_slopes(make, static, names, numbers, near, free, axis):
+    def one(numbers, near, free):
         def place(moved):
-            system = make(**static, **(numbers | moved))
-            return fold_response(system, near, axis=axis).parameter
+            system = as_arrays(make(**static, **(numbers | moved)))
+            fold = fold_response(system, near, axis=axis).parameter
+            path = frequency_path(system, axis == "frequency_ratio", False)
+            touch = touch_near(path, jnp.asarray(near.parameter))
+            touch = jnp.where(touch.found, touch.parameter, jnp.nan)
+            value = jnp.where(free, touch, fold)
+            # What was found is another fold, or none, where it lies elsewhere.
+            same = jnp.abs(value / near.parameter - 1) < SAME
+            return jnp.where(same, value, jnp.nan), same
 
-        return jax.jacfwd(place)({name: numbers[name] for name in names})
+        slopes, same = jax.jacfwd(place, has_aux=True)({n: numbers[n] for n in names})
+        return {n: jnp.where(same, slope, jnp.nan) for n, slope in slopes.items()}
 
-    return jax.vmap(one)(numbers, near)
+    return jax.vmap(one)(numbers, near, free)
 
 
 def fold_slopes(
@@ -154,20 +166,19 @@ def fold_slopes(
     static, numbers = maker.lane_numbers(index, names)
     numbers = {n: np.asarray(v) for n, v in numbers.items()}
     found: Slopes = {name: {} for name in names}
-    for variable, states in computed.fold_states.items():
+    for variable, (states, free) in computed.folds.items():
         value = computed.numbers[variable]
+        slopes = {name: np.full(value.shape, np.nan) for name in names}
         there = np.isfinite(value) & np.isfinite(states).all(axis=-1)
-        lane, *_ = np.nonzero(there)
-        value, states = value[there], states[there]
-        slopes = {name: np.full(there.shape, np.nan) for name in names}
+        lane = np.nonzero(there)[0]
+        places, start = np.argwhere(there), states[there]
         for at in _padded(len(lane), FOLD_WIDTH):
             zero = np.zeros(len(at))
-            near = Fold(value[at], zero, zero, states[at], np.ones(len(at), bool))
+            near = Fold(value[there][at], zero, zero, start[at], np.ones(len(at), bool))
             own = {n: v[lane[at]] for n, v in numbers.items()}
-            got = jax.device_get(_fold_slopes(maker.make, static, names, own, near, axis))
-            places = np.argwhere(there)[at]
+            got = _fold_slopes(maker.make, static, names, own, near, free[there][at], axis)
             for name in names:
-                slopes[name][tuple(places.T)] = got[name]
+                slopes[name][tuple(places[at].T)] = np.asarray(got[name])
         for name in names:
             found[name][variable] = slopes[name]
     return found

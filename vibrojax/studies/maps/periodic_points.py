@@ -117,5 +117,5 @@ class PeriodicPoints(AbstractMapResponse):
             points=Points(states.reshape(*shape, -1), np.where(found, self.period, 0)),
             lane_status=curves["status"].max(axis=(1, 2)),
             lane_steps=np.full(lanes, count, np.int64),
-            fold_states={},
+            folds={},
         )

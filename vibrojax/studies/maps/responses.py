@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from vibrojax._checks import check_choice
 from vibrojax.results.frequency_response import CURVES as SWEPT_CURVES
@@ -14,7 +14,7 @@ from vibrojax.results.status import Status
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.frequency_sweep import DIRECTIONS, sweep_plan
 from vibrojax.studies.maps.rig_maker import RigMaker
-from vibrojax.studies.swept_lanes import numbers_of_jumps, states_before_jumps, sweep_rigs
+from vibrojax.studies.swept_lanes import numbers_of_jumps, before_jumps, sweep_rigs
 from vibrojax.systems.base import AbstractSystem
 
 Tell = Callable[[int], object]
@@ -41,6 +41,15 @@ class Points(NamedTuple):
     """Drive periods after which they return; 0 where there is no steady state."""
 
 
+class Folds(NamedTuple):
+    """Motions next to the folds or touches at which a lane jumps."""
+
+    states: Float[np.ndarray, "lanes ... states"]
+    """(q, q') at drive phase 0; NaN where there is none."""
+    free: Bool[np.ndarray, "lanes ..."]
+    """Whether the motion does not touch: the jump is where it begins to."""
+
+
 class Computed(NamedTuple):
     """What a response gives for the lanes of a block."""
 
@@ -52,8 +61,8 @@ class Computed(NamedTuple):
     lane_status: Int[np.ndarray, " lanes"]
     """Index into the `lane_words` of the response."""
     lane_steps: Int[np.ndarray, " lanes"]
-    fold_states: dict[str, np.ndarray]
-    """States near the folds behind jumps and folds, (lanes, [places], states), for derivatives."""
+    folds: dict[str, Folds]
+    """What is behind jumps and folds, over (lanes, [places]), for derivatives."""
 
 
 class AbstractMapResponse(eqx.Module):
@@ -183,7 +192,7 @@ class SettledSweep(AbstractMapResponse):
             points=Points(swept.states, np.where(settled, curves["period"], 0)),
             lane_status=worst,
             lane_steps=curves["steps"].sum(axis=(1, 2), dtype=np.int64),
-            fold_states=states_before_jumps(swept),
+            folds={n: Folds(*before) for n, before in before_jumps(swept).items()},
         )
 
 

@@ -99,8 +99,7 @@ class RigMaker:
         """Return the systems of a block, stacked, the last dimension running fastest."""
         if self.traced:
             static, fixed, numbers = self._split(index)
-            made = _made(self.make, static, fixed, numbers, False)
-            return made if numbers else jax.tree.map(lambda a: a[None], made)
+            return _made(self.make, static, fixed, numbers, False)
         grid = np.stack(np.meshgrid(*index, indexing="ij"), axis=-1).reshape(-1, len(index))
         return stacked([self.sample(tuple(map(int, row))) for row in grid])
 
@@ -109,8 +108,7 @@ class RigMaker:
         if not self.traced:
             return rigs_of(self.systems(index))
         static, fixed, numbers = self._split(index)
-        made = _made(self.make, static, fixed, numbers, True)
-        return made if numbers else jax.tree.map(lambda a: a[None], made)
+        return _made(self.make, static, fixed, numbers, True)
 
     def lane_numbers(
         self, index: tuple[np.ndarray, ...], names: tuple[str, ...]
