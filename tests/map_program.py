@@ -20,9 +20,9 @@ def oscillator(natural, gap=3e-3):
     """One mass (1 kg) on a spring (natural frequency in Hz) with a stop: quick to compile."""
     return vj.MatrixSystem(
         mass=[[1.0]],
-        damping=[[0.4]],
+        damping=[[1.0]],
         stiffness=[[(2 * np.pi * natural) ** 2]],
-        stops=(vj.Stop(None, gap, vj.KelvinVoigt(1000.0, 1.0, False)),),
+        stops=(vj.Stop(None, gap, vj.KelvinVoigt(50.0, 0.5, False)),),
         stop_map=[[1.0]],
         drive=vj.BaseMotion(1e-3),
         input_map=[1.0],

@@ -38,6 +38,8 @@ from vibrojax.results.fold_curves import FoldCurves as FoldCurves
 from vibrojax.results.frequency_response import FrequencyResponse as FrequencyResponse
 from vibrojax.results.history import History as History
 from vibrojax.results.identification import Identification as Identification
+from vibrojax.results.maps import plot_map as plot_map
+from vibrojax.results.maps import plot_map_summary as plot_map_summary
 from vibrojax.results.periodic_response import PeriodicResponse as PeriodicResponse
 from vibrojax.results.resolution import ResolutionCheck as ResolutionCheck
 from vibrojax.results.single_contact_response import (

@@ -160,7 +160,12 @@ def map_numbers(
     ] = None,
     measures: Annotated[
         tuple[str, ...],
-        _option("what to keep of every curve", "NAME ...", "[map], else all, and the curves"),
+        _option(
+            "what to keep of every curve, such as peak_amplitude_ratio or jump_up (the others are "
+            "listed when a name is wrong)",
+            "NAME ...",
+            "[map], else all, and the curves",
+        ),
     ] = (),
     keep_curves: Annotated[
         _Flag, _flag("keep whole curves (large), even where measures are named")
@@ -198,8 +203,9 @@ def map_numbers(
 ) -> int:
     """Sweep every combination of numbers of a rig; print their range, write data and pictures.
 
-    Options override the rig file, axes by their names. The same command again continues a map
-    that was interrupted. Exit code 1: chunks of the map failed, or files could not be written.
+    Options override the table [map] of the rig file (explained in examples/map.toml), axes by
+    their names. The same command again continues a map that was interrupted. Exit code 1: chunks
+    of the map failed, or files could not be written.
 
     Try:
     $ vibrojax map --axis gap=0.2e-3:1e-3:20 taper=0,0.25,0.5 --frequency-ratio 0.9 1.4 51

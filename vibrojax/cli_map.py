@@ -13,7 +13,7 @@ import xarray
 from vibrojax._checks import nearest
 from vibrojax.cli_files import PICTURES, Files, check_driven, read, target, watch_compilation
 from vibrojax.cli_fit import rig_function, rig_numbers
-from vibrojax.cli_map_table import map_table
+from vibrojax.cli_map_table import MapRun, map_table
 from vibrojax.cli_tables import title
 from vibrojax.rig_file import frequency_range, one_frequency, read_map, spaced
 from vibrojax.studies.maps import store as stores
@@ -103,7 +103,10 @@ def run(options: MapOptions) -> int:
     if not options.quiet:
         times = (computed - started, sum(compiling), time.perf_counter() - computed)
         files = [str(path) for path in (store, *written) if path is not None]
-        print(map_table(title("Map", options.rig), found, known, times, files, notes))
+        axis = next(name for name in _FREQUENCIES if name in call.keywords)
+        ways = max(1, len(call.keywords["response"].ways()[1]))
+        made = MapRun(axis, call.keywords[axis], ways, known, times, files, notes)
+        print(map_table(title("Map", options.rig), found, made))
     return _tell_failures(found)
 
 

@@ -1,9 +1,8 @@
 """The table that `vibrojax map` prints."""
 
 import json
-import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray
@@ -16,18 +15,24 @@ _SHOWN = 6
 """Values of an axis that are written out."""
 
 
-def map_table(
-    title: str,
-    found: xarray.Dataset,
-    known: int,
-    times: tuple[float, float, float],
-    files: Sequence[str],
-    notes: Sequence[str],
-) -> str:
-    """Return axes, status, range of every measure, times and files of a map.
+class MapRun(NamedTuple):
+    """What a map itself does not say of how it was made."""
 
-    `known` counts the lanes that were in the store before, `notes` say what was not drawn.
-    """
+    axis: str
+    frequencies: float | np.ndarray
+    ways: int
+    """Directions or crossings at a frequency."""
+    known: int
+    """Lanes that were in the store before."""
+    times: tuple[float, float, float]
+    """All, compiling, drawing; s."""
+    files: Sequence[str]
+    notes: Sequence[str]
+    """What was not drawn, and why."""
+
+
+def map_table(title: str, found: xarray.Dataset, run: MapRun) -> str:
+    """Return axes, status, range of every measure, times and files of a map."""
     status = found["lane_status"]
     names = _ranged(found)
     wide = max(len(row) for row in (*(_labelled(found, n) for n in names), "frequency ratio"))
@@ -38,34 +43,35 @@ def map_table(
 
     for dimension in map(str, status.dims):
         along = [n for n in coordinates_along(found, dimension) if found[n].dtype.kind in "fiubU"]
-        say(" with ".join(along), ", with ".join(_values(found, n) for n in along))
-    axis = next(name for name in _FREQUENCIES if name in found.coords)
-    say(axis.replace("_", " "), _values(found, axis))
+        texts = [_values(found[n].values, units_of(found, n)) for n in along]
+        say(" with ".join(along), ", with ".join(texts))
+    # Not read off the map: without curves it has no frequencies.
+    frequencies = np.atleast_1d(run.frequencies)
+    units = "Hz" if run.axis == "frequency" else ""
+    say(run.axis.replace("_", " "), _values(frequencies, units))
     words = str(status.attrs["flag_meanings"]).split()
     counts = {word: int((status.values == k).sum()) for k, word in enumerate(words)}
     shown = [f"{n:,} {word}" for word, n in counts.items() if n or word != "missing"]
     say(f"lanes, {status.size:,}", f"{', '.join(shown)}; each by its worst point")
-    if known:
-        new = counts[words[0]] + counts[words[1]] + counts[words[2]] - known
+    if run.known:
+        new = counts[words[0]] + counts[words[1]] + counts[words[2]] - run.known
         left = f"{new:,} computed now" if new else "nothing was left to compute"
-        say("", f"{known:,} were in the store, {left}")
+        say("", f"{run.known:,} were in the store, {left}")
     chunks = Chunks(status.shape, tuple(json.loads(found.attrs["block"])))
     each = f"{chunks.number:,} of up to {chunks.lanes_per_block:,} lanes"
-    say(f"points, {_points(found):,}", f"in chunks, {each}")
+    say(f"points, {status.size * run.ways * len(frequencies):,}", f"in chunks, {each}")
     lines += _ranges(found, names, wide)
-    total, compiling, drawing = times
+    total, compiling, drawing = run.times
     say("time", f"{total:.1f} s (compiling {compiling:.1f} s), drawing {drawing:.1f} s")
-    if files:
-        say("written", ", ".join(files))
-    for note in notes:
+    if run.files:
+        say("written", ", ".join(run.files))
+    for note in run.notes:
         say("not drawn", note)
     return "\n".join(lines)
 
 
-def _values(found: xarray.Dataset, name: str) -> str:
+def _values(values: np.ndarray, units: str) -> str:
     """Return the values of an axis, or its ends where they are many."""
-    values = np.atleast_1d(found[name].values)
-    units = units_of(found, name)
     if len(values) <= _SHOWN:
         text = ", ".join(_word(value) for value in values)
     else:
@@ -76,12 +82,6 @@ def _values(found: xarray.Dataset, name: str) -> str:
 
 def _word(value: object) -> str:
     return f"{value:.5g}" if isinstance(value, float | np.floating) else str(value)
-
-
-def _points(found: xarray.Dataset) -> int:
-    """Return how many responses the map has: lanes times frequencies times directions."""
-    inner = [d for d in (*_FREQUENCIES, "direction", "crossing") if d in found.coords]
-    return found["lane_status"].size * math.prod(found[d].size for d in inner)
 
 
 def _ranged(found: xarray.Dataset) -> list[str]:

@@ -188,7 +188,7 @@ def _of_kind(kind: str, label: str, value: Any) -> Any:
     if kind in (_RANGE, _RANGE_OR_NUMBER) and isinstance(value, list):
         return frequency_range(label, value)
     if kind == _RANGE_OR_NUMBER and number:
-        return one_frequency(label, value)
+        return one_frequency(label, float(value))
     if kind == _TEXTS and isinstance(value, list) and all(isinstance(v, str) for v in value):
         return value
     if kind == _AXES and isinstance(value, dict):
@@ -229,7 +229,7 @@ def frequency_range(label: str, values: Any) -> np.ndarray:
 def one_frequency(label: str, value: float) -> float:
     """Return a single drive frequency. Raises `ValueError` unless it is finite and above 0."""
     check_positive(label, value, "Hz" if label.endswith("frequency") else "(ratio)")
-    return float(value)
+    return value
 
 
 def spaced(

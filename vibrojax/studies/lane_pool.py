@@ -146,7 +146,9 @@ class LanePool:
 
     def _batch(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the lanes of one loop and the same filled up to its width."""
-        own = chosen[: self.widths[-1]]
+        # Lanes of like pace: one loop takes as long as its slowest lane.
+        pace = self.search.steps[chosen] / np.maximum(self.search.marched[chosen], 1)
+        own = chosen[np.argsort(pace, kind="stable")][: self.widths[-1]]
         width = next(w for w in self.widths if w >= len(own))
         return own, own[np.minimum(np.arange(width), len(own) - 1)]
 

@@ -152,7 +152,7 @@ def _trial(spec: MapSpec, maker: RigMaker, rows: list[tuple[int, ...]]) -> MapSp
     )
 
 
-def _bytes(count: float) -> str:
+def _bytes(count: float | int) -> str:
     for unit in ("B", "kB", "MB", "GB"):
         if count < 1000:
             return f"{count:.3g} {unit}"

@@ -8,6 +8,9 @@ interrupted at any moment.
 import errno
 import json
 import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,8 @@ from vibrojax.studies.maps.template import FAILED, MISSING, Template
 
 FORMAT = 1
 """Changes when older stores cannot be continued any more."""
+CREATING = {"vibrojax_map": ""}
+"""Attributes of a store whose creation was interrupted: nothing is in it yet."""
 
 
 class StoreFull(OSError):
@@ -27,6 +32,20 @@ class StoreFull(OSError):
 def is_full(error: BaseException) -> bool:
     """Whether an error says that there is no room left."""
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
+@contextmanager
+def _told_when_full() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if not is_full(error):
+            raise
+        raise StoreFull(
+            error.errno,
+            "The disk of the store is full. What is whole stays: make room and repeat the same "
+            "call",
+        ) from None
 
 
 def _zarr() -> Any:
@@ -73,8 +92,14 @@ class MapStore:
         return np.array([self.state(k) for k in range(self.chunks.number)], int)
 
     def note(self, **attributes: Any) -> None:
-        """Add to the attributes of the dataset."""
-        self.group.attrs.update(attributes)
+        """Add to the attributes of the dataset, where they are not there yet.
+
+        Raises `StoreFull`.
+        """
+        found = dict(self.group.attrs)
+        if found | attributes != found:
+            with _told_when_full():
+                self.group.attrs.update(attributes)
 
 
 def memory_store() -> Any:
@@ -83,9 +108,19 @@ def memory_store() -> Any:
 
 
 def create(store: Any, template: Template, chunks: Chunks, attributes: dict[str, Any]) -> MapStore:
-    """Create all arrays of a map; the attributes are written last and make it a map."""
+    """Create all arrays of a map; the attributes are written last and make it a map.
+
+    Raises `StoreFull`.
+    """
+    with _told_when_full():
+        return _create(store, template, chunks, attributes)
+
+
+def _create(store: Any, template: Template, chunks: Chunks, attributes: dict[str, Any]) -> MapStore:
     zarr = _zarr()
-    group = zarr.create_group(store, overwrite=True)
+    if isinstance(store, str):
+        _clear(Path(store))
+    group = zarr.create_group(store, overwrite=True, attributes=dict(CREATING))
     for name, (dims, values, described) in template.coordinates.items():
         values = np.asarray(values)
         if values.dtype.kind == "U":
@@ -107,9 +142,17 @@ def create(store: Any, template: Template, chunks: Chunks, attributes: dict[str,
             dimension_names=one.dims or None,
             attributes=one.attributes,
         )
-    made = MapStore(group, chunks)
-    made.note(**attributes)
-    return made
+    group.attrs.put(attributes)
+    return MapStore(group, chunks)
+
+
+def _clear(place: Path) -> None:
+    """Remove what was being created when it was interrupted, what says so last."""
+    for inside in place.iterdir() if place.is_dir() else ():
+        if inside.is_dir():
+            shutil.rmtree(inside)
+        elif inside.name != "zarr.json":
+            inside.unlink()
 
 
 def attributes_of(path: str | os.PathLike[str]) -> dict[str, Any] | None:
@@ -125,7 +168,8 @@ def attributes_of(path: str | os.PathLike[str]) -> dict[str, Any] | None:
     wrong = f"store: {str(place)!r} is there already and is not a store of a map"
     if not place.is_dir():
         raise ValueError(f"{wrong}, but a file. Give another path.")
-    if not any(place.iterdir()):
+    # The first file of all may have been interrupted before Zarr renamed it.
+    if all(p.match("zarr.*.partial") for p in place.iterdir()):
         return None
     if not (place / "zarr.json").is_file():
         raise ValueError(f"{wrong}. Give another path, or remove it.")
@@ -134,14 +178,15 @@ def attributes_of(path: str | os.PathLike[str]) -> dict[str, Any] | None:
     except Exception as error:
         raise ValueError(f"{wrong}: it cannot be read ({error}).") from None
     if "vibrojax_map" not in found:
-        if found:
-            raise ValueError(f"{wrong}. Give another path, or remove it.")
-        return None  # interrupted while it was being created: nothing is in it yet
-    return found
+        raise ValueError(f"{wrong}. Give another path, or remove it.")
+    return None if found == CREATING else found
 
 
 def open_map(store: Any, chunks: Chunks) -> MapStore:
     """Open a map that exists, to write into it."""
+    if isinstance(store, str):  # readers would be warned of what was interrupted
+        for left in Path(store).glob("zarr.*.partial"):
+            left.unlink(missing_ok=True)
     return MapStore(_zarr().open_group(store, mode="r+"), chunks)
 
 
