@@ -1,6 +1,6 @@
-"""Make docs/branch_and_sweep.png: the sweep of the default rig on its branch.
+"""Make docs/branch_and_sweep.png and docs/map.png.
 
-python docs/pictures.py            about a minute, most of it compiling
+python docs/pictures.py            some minutes, the map most of it
 """
 
 from pathlib import Path
@@ -39,5 +39,17 @@ def branch_and_sweep():
     return figure
 
 
+def amplitude_map():
+    """Draw amplitude over frequency and gap in both directions, with the jumps."""
+    maps = vj.parameter_map(
+        vj.default_rig,
+        gap=np.linspace(0.2e-3, 1.0e-3, 33),
+        frequency_ratio=np.linspace(0.95, 1.32, 75),
+    )
+    print(maps.attrs["summary"])
+    return vj.plot_map(maps, "amplitude_ratio", x="frequency_ratio", y="gap")
+
+
 if __name__ == "__main__":
     branch_and_sweep().savefig(Path(__file__).parent / "branch_and_sweep.png")
+    amplitude_map().savefig(Path(__file__).parent / "map.png")

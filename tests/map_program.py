@@ -10,6 +10,7 @@ import sys
 import time
 from collections import Counter
 
+import jax
 import numpy as np
 
 import vibrojax as vj
@@ -49,6 +50,14 @@ def make_map(store, lanes, **settings):
         "progress": False,
     }
     return vj.parameter_map(oscillator, store=store, **(chosen | settings))
+
+
+def make_in_fork(store, lanes, compiled):
+    """Make the map in a process that was forked with everything imported."""
+    jax.config.update("jax_compilation_cache_dir", compiled)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    make_map(store, lanes)
 
 
 def main():

@@ -4,6 +4,7 @@ import errno
 import itertools
 import json
 import logging
+import multiprocessing
 import os
 import random
 import shutil
@@ -19,7 +20,7 @@ import numpy as np
 import pytest
 import xarray
 import zarr
-from map_program import make_map, oscillator
+from map_program import make_in_fork, make_map, oscillator
 
 import vibrojax as vj
 
@@ -96,47 +97,63 @@ def chunks_in(store):
     return len(os.listdir(place)) if place.is_dir() else 0
 
 
-def interrupt(process, how, ripe, delay):
-    """Send a signal some time after the moment is ripe; False where the program ended before."""
+def wait_until(ripe, process):
+    """Wait for a moment while a process runs; False where it ends before."""
+    alive = process.is_alive if hasattr(process, "is_alive") else lambda: process.poll() is None
     while not ripe():
-        if process.poll() is not None:
+        if not alive():
             return False
         time.sleep(1e-3)
-    time.sleep(delay)
-    process.send_signal(how)
-    process.communicate(timeout=60)
-    return process.returncode == -how
+    return True
 
 
 # ------------------------------------------------------------------------------ killed processes
 
 
+@pytest.fixture(scope="session")
+def forked(environment):
+    """Function that makes the map in a new process, which takes little: all is imported."""
+    # Nothing runs yet where it forks: importing vibrojax starts no device and no thread of JAX.
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["map_program"])
+    path = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(PROGRAM.parent), path]))
+
+    def begin(store):
+        compiled = environment["JAX_COMPILATION_CACHE_DIR"]
+        process = context.Process(target=make_in_fork, args=(str(store), LANES, compiled))
+        process.start()
+        return process
+
+    yield begin
+    os.environ.pop("PYTHONPATH")
+    if path is not None:
+        os.environ["PYTHONPATH"] = path
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-def test_killed_again_and_again_a_map_ends_as_if_nothing_had_been(
-    tmp_path, environment, whole, seed
-):
+def test_killed_again_and_again_a_map_ends_as_if_nothing_had_been(tmp_path, forked, whole, seed):
     choice = random.Random(seed)
     store = tmp_path / "map.zarr"
-    kills = 0
-    # Creating the store takes 0.3 s or so here.
-    for _ in range(3):
-        process = start(store, environment)
-        kills += interrupt(process, signal.SIGKILL, store.exists, choice.uniform(0, 0.3))
-    # A chunk takes some 40 ms, most of them in writing 14 files.
-    for _ in range(8):
+
+    def kill(ripe, delay):
+        process = forked(store)
+        assert wait_until(ripe, process)
+        time.sleep(delay)
+        process.kill()
+        process.join(60)
+        assert process.exitcode == -signal.SIGKILL
+
+    for _ in range(5):  # creating the store takes 0.2 s or so here
+        kill(lambda: store.exists(), choice.uniform(0, 0.2))
+    for _ in range(6):  # a chunk takes some 40 ms, most of them in writing 14 files
         least = chunks_in(store) + choice.randint(0, 2)
-        process = start(store, environment)
-        written = interrupt(
-            process, signal.SIGKILL, lambda least=least: chunks_in(store) > least,
-            choice.uniform(0, 0.1),
-        )  # fmt: skip
-        kills += written
-    assert kills == 11
-    left = LANES - chunks_in(store)
-    assert left > 0
-    used = finish(start(store, environment))
-    assert used["0"] <= left + 1  # what was whole is not computed again
+        kill(lambda least=least: chunks_in(store) > least, choice.uniform(0, 0.1))
+    assert 6 <= chunks_in(store) < LANES
+    last = forked(store)
+    last.join(240)
+    assert last.exitcode == 0
     assert_same_store(store, whole)
 
 
@@ -144,15 +161,20 @@ def test_killed_again_and_again_a_map_ends_as_if_nothing_had_been(
 def test_ctrl_c_ends_a_map_and_the_same_call_continues_it(tmp_path, environment, whole):
     choice = random.Random(2)
     store = tmp_path / "map.zarr"
-    two_devices = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
-    for more in ({}, {}, two_devices):
+    for count in (1, 2):
         least = chunks_in(store) + 2
-        process = start(store, environment, **more)
-        assert interrupt(
-            process, signal.SIGINT, lambda least=least: chunks_in(store) > least,
-            choice.uniform(0, 0.1),
-        )  # fmt: skip
-    finish(start(store, environment))
+        devices = {"XLA_FLAGS": f"--xla_force_host_platform_device_count={count}"}
+        process = start(store, environment, **devices)
+        assert wait_until(lambda least=least: chunks_in(store) > least, process)
+        time.sleep(choice.uniform(0, 0.1))
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=120)
+        assert process.returncode == -signal.SIGINT
+        assert told.rstrip().endswith("KeyboardInterrupt")
+    left = LANES - chunks_in(store)
+    assert 0 < left < LANES
+    # What was whole is not computed again; one chunk was on its way to be written.
+    assert left <= finish(start(store, environment))["0"] <= left + 1
     assert_same_store(store, whole)
 
 

@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import jax
 import numpy as np
@@ -28,6 +28,46 @@ from vibrojax.systems.base import AbstractSystem
 
 if TYPE_CHECKING:
     import xarray
+
+
+@overload
+def parameter_map(
+    make_system: Callable[..., AbstractSystem],
+    *zipped: Zipped,
+    frequency_ratio: ArrayLike | Sequence[float] | None = None,
+    frequency: ArrayLike | Sequence[float] | None = None,
+    response: str | AbstractMapResponse = "sweep",
+    measures: Any = None,
+    keep_curves: bool | None = None,
+    gradients: Sequence[str] = (),
+    store: str | os.PathLike[str] | None = None,
+    chunk_lanes: int | None = None,
+    memory: float = 1e9,
+    client: Any = None,
+    progress: bool | None = None,
+    dry_run: Literal[False] = False,
+    **arguments: Any,
+) -> "xarray.Dataset": ...
+
+
+@overload
+def parameter_map(
+    make_system: Callable[..., AbstractSystem],
+    *zipped: Zipped,
+    frequency_ratio: ArrayLike | Sequence[float] | None = None,
+    frequency: ArrayLike | Sequence[float] | None = None,
+    response: str | AbstractMapResponse = "sweep",
+    measures: Any = None,
+    keep_curves: bool | None = None,
+    gradients: Sequence[str] = (),
+    store: str | os.PathLike[str] | None = None,
+    chunk_lanes: int | None = None,
+    memory: float = 1e9,
+    client: Any = None,
+    progress: bool | None = None,
+    dry_run: Literal[True],
+    **arguments: Any,
+) -> MapPlan: ...
 
 
 def parameter_map(
@@ -301,7 +341,9 @@ def _summary(spec: MapSpec, failures: dict[int, str], lanes: list[int]) -> str:
 def _dataset(place: Any, names: list[str], in_memory: bool) -> "xarray.Dataset":
     import xarray
 
-    dataset = xarray.open_zarr(place, consolidated=False, chunks=None)[names]
+    stored = xarray.open_zarr(place, consolidated=False, chunks=None)
+    # In the order of the template; with every coordinate, also of curves that were not kept.
+    dataset = stored[names].assign_coords(stored.coords)
     if in_memory:
         dataset = dataset.load()
     # Zarr keeps texts of any length; everyone else is used to those of numpy.

@@ -107,7 +107,7 @@ class PeriodicPoints(AbstractMapResponse):
         joined = jax.tree.map(lambda *a: np.concatenate(a)[: len(rig)], *parts)
         numbers, states, stable, status = joined
         shape = (lanes, 1, count)
-        curves = {n: numbers[n].reshape(shape) for n in NUMBERS if n != "frequency"}
+        curves = {n: numbers[n].reshape(shape).astype(float) for n in NUMBERS if n != "frequency"}
         found = (status == 0).reshape(shape)
         curves["stable"] = np.where(found, stable.reshape(shape), np.nan)
         curves["status"] = status.reshape(shape).astype(np.int32)

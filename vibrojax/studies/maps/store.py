@@ -202,7 +202,7 @@ def check_same(path: Any, found: dict[str, Any], settings: dict[str, Any]) -> No
     for name, value in settings.items():
         if made.get(name) != value:
             raise ValueError(
-                f"store: {str(path)!r} was made with another {name}: "
+                f"store: {str(path)!r} was made with other settings. {name.replace('_', ' ')}: "
                 f"{_difference(made.get(name), value)}. Give another path, or the same settings."
             )
 
@@ -212,7 +212,8 @@ def _difference(made: Any, asked: Any) -> str:
     if isinstance(made, dict) and isinstance(asked, dict):
         for key in [*made, *(k for k in asked if k not in made)]:
             if made.get(key) != asked.get(key):
-                return f"{key}: {_difference(made.get(key), asked.get(key))}"
+                inside = _difference(made.get(key), asked.get(key))
+                return inside if inside.startswith(f"{key}: ") else f"{key}: {inside}"
         return "the order of its parts"
     if isinstance(made, list) and isinstance(asked, list) and len(made) != len(asked):
         return f"{len(made)} values there, {len(asked)} now"
