@@ -26,8 +26,8 @@ def test_chunks_cover_every_lane_once(shape, lanes, single):
     for number in range(chunks.number):
         block = chunks.at(number)
         counted[block.region] += 1
-        assert all(len(i) == b for i, b in zip(block.index, chunks.block, strict=True))
-        computed = grid[np.ix_(*block.index)].ravel()[block.inside]
+        assert all(len(i) == b for i, b in zip(block.indices, chunks.block, strict=True))
+        computed = grid[np.ix_(*block.indices)].ravel()[block.inside]
         np.testing.assert_array_equal(computed, grid[block.region].ravel())
         assert block.lanes == computed.size
     assert (counted == 1).all()

@@ -23,6 +23,7 @@ import zarr
 from map_program import make_in_fork, make_map, oscillator
 
 import vibrojax as vj
+from vibrojax.studies.maps.store import MapStore
 
 PROGRAM = Path(__file__).with_name("map_program.py")
 LANES = 36
@@ -113,7 +114,7 @@ def wait_until(ripe, process):
 @pytest.fixture(scope="session")
 def forked(environment):
     """Function that makes the map in a new process, which takes little: all is imported."""
-    # Nothing runs yet where it forks: importing vibrojax starts no device and no thread of JAX.
+    # JAX has started nothing yet where it forks: importing vibrojax touches no device.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["map_program"])
     path = os.environ.get("PYTHONPATH")
@@ -320,6 +321,27 @@ def test_death_while_clearing_away_what_was_half_created_is_mended_too(
     assert again > 10
 
 
+def test_death_before_the_last_note_leaves_no_failure_that_is_none(tmp_path, monkeypatch):
+    measure = Fragile(tmp_path / "flag")
+    store, settings = tmp_path / "map", {"measures": {"fragile": measure}}
+    small_map(tmp_path / "whole", **settings)
+    measure.flag.touch()
+    with pytest.warns(UserWarning, match="chunks failed twice"):
+        small_map(store, **settings)
+    measure.flag.unlink()
+
+    def die(*_, **__):
+        raise Killed
+
+    with monkeypatch.context() as patched:
+        patched.setattr(MapStore, "note", die)
+        with pytest.raises(Killed):
+            small_map(store, **settings)
+    # All is computed now, but the store still tells of the failure.
+    small_map(store, **settings)
+    assert_same_store(store, tmp_path / "whole")
+
+
 # ----------------------------------------------------------------------------------- full disks
 
 
@@ -349,7 +371,7 @@ def test_a_full_disk_is_said_and_no_harm_wherever_it_happens(tmp_path, full_disk
         store = tmp_path / f"{k}"
         # Attributes are written more than once, so that all of this is too little.
         full_disk(int(part * size))
-        with pytest.raises(vj.StoreFull, match="disk of the store is full.*the same call") as told:
+        with pytest.raises(vj.StoreFull, match=r"disk of the store is full.*same call") as told:
             small_map(store, keep_curves=True)
         assert told.value.errno == errno.ENOSPC
         assert told.value.__suppress_context__  # one sentence, not a tale of Zarr's
@@ -496,14 +518,20 @@ def test_a_store_of_other_settings_is_refused_with_the_difference(tmp_path):
     other = np.linspace(1.0, 2.0, 6)
     other[2] = 1.5
     refused = [
-        ({"natural": other}, r"another axes: natural: natural: value 3 is 1.4 there, 1.5 now"),
-        ({"natural": other[:5]}, r"another axes: .*6 values there, 5 now"),
-        ({"gap": 2e-3}, r"another fixed: gap: nothing there, '0.002' now"),
-        ({"frequency_ratio": [0.9, 1.0, 1.2]}, r"another frequency: values: value 3 is 1.1 there"),
-        ({"response": "sweep"}, r"another response: .*forward.* there, .*SettledSweep\(\).* now"),
-        ({"measures": ["peak_frequency"]}, r"another measures"),
-        ({"keep_curves": True}, r"another keep_curves: False there, True now"),
-        ({"gradients": ["natural"]}, r"another gradients: 0 values there, 1 now"),
+        ({"natural": other}, r"other settings. axes: natural: value 3 is 1.4 there, 1.5 now"),
+        ({"natural": other[:5]}, r"other settings. axes: .*6 values there, 5 now"),
+        ({"gap": 2e-3}, r"other settings. fixed: gap: nothing there, '0.002' now"),
+        (
+            {"frequency_ratio": [0.9, 1.0, 1.2]},
+            r"other settings. frequency: values: value 3 is 1.1 there",
+        ),
+        (
+            {"response": "sweep"},
+            r"other settings. response: .*forward.* there, .*SettledSweep\(\).* now",
+        ),
+        ({"measures": ["peak_frequency"]}, r"other settings. measures"),
+        ({"keep_curves": True}, r"other settings. keep curves: False there, True now"),
+        ({"gradients": ["natural"]}, r"other settings. gradients: 0 values there, 1 now"),
         ({"chunk_lanes": 3}, r"chunk_lanes = 3 makes chunks of shape \(3,\).*store has \(2,\)"),
     ]
     for settings, message in refused:
@@ -530,13 +558,17 @@ def test_a_rig_or_measure_of_the_same_name_that_does_something_else_is_refused(t
         return curve["amplitude_ratio"].min()
 
     call(3e-3, lowest)
-    with pytest.raises(ValueError, match=r"another first_rig: .*0.003.* there, .*0.002.* now"):
+    with pytest.raises(
+        ValueError, match=r"other settings. first rig: .*0.003.* there, .*0.002.* now"
+    ):
         call(2e-3, lowest)
 
     def lowest(curve):
         return curve["peak_ratio"].min()
 
-    with pytest.raises(ValueError, match=r"another measures: lowest: .*amplitude.* there, .*peak"):
+    with pytest.raises(
+        ValueError, match=r"other settings. measures: lowest: .*amplitude.* there, .*peak"
+    ):
         call(3e-3, lowest)
 
 
@@ -545,7 +577,9 @@ def test_a_store_of_another_version_is_refused(tmp_path, name):
     store = tmp_path / "map"
     small_map(store)
     rewrite(store, **{name: "0.0.1"})
-    with pytest.raises(ValueError, match=f"another {name}: '0.0.1' there, .* Give another path"):
+    with pytest.raises(
+        ValueError, match=f"{name.replace('_', ' ')}: '0.0.1' there, .* Give another"
+    ):
         small_map(store)
 
 

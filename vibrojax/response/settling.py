@@ -48,13 +48,13 @@ class Settled(NamedTuple):
 class Search(NamedTuple):
     """How far the march of a lane to its steady state has come."""
 
-    history: Float[AnyArray, "strobes states *lanes"]
+    history: Float[Array, "strobes states *lanes"]
     """Weighted states at the last drive periods, the newest first."""
-    last_error: Float[AnyArray, "orders *lanes"]
-    streak: Int[AnyArray, "*lanes"]
-    marched: Int[AnyArray, "*lanes"]
-    steps: Int[AnyArray, "*lanes"]
-    done: Bool[AnyArray, "*lanes"]
+    last_error: Float[Array, "orders *lanes"]
+    streak: Int[Array, "*lanes"]
+    marched: Int[Array, "*lanes"]
+    steps: Int[Array, "*lanes"]
+    done: Bool[Array, "*lanes"]
 
 
 def _size(weighted: Float[Array, "..."], axis: int) -> Array:

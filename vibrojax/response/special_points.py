@@ -278,7 +278,8 @@ def first_touches(
         now = found
 
         def touch(i, now=now):
-            return _touch(localise(paths, np.full(len(i), lane), now[i], False), now[i])
+            near = localise(paths, np.full(len(i), lane), now[i], False)
+            return _touch(near, jnp.asarray(now[i]))
 
         found, amplitude, good = in_batches(touch, len(change))
     rows = zip(change.tolist(), found.tolist(), amplitude.tolist(), good, strict=True)

@@ -12,7 +12,7 @@ from vibrojax.results.frequency_response import FrequencyResponse
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.axes import Lanes, lanes_of
-from vibrojax.studies.swept_lanes import Swept, SweepPlan, numbers_of_jumps, rigs_of, sweep_rigs
+from vibrojax.studies.swept_lanes import SweepPlan, Swept, numbers_of_jumps, rigs_of, sweep_rigs
 from vibrojax.systems.base import AbstractSystem
 
 DIRECTIONS = {

@@ -7,7 +7,7 @@ a lane comes to what it would come to alone.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -122,10 +122,9 @@ class LanePool:
         lanes = len(self.rig)
         self.frequency = np.array(angular_frequency, float)
         self.state = np.array(state, float)
-        self.search = self._lanes_first(
-            begin_search((self.state * self.weight).T, self.max_period, np)
-        )
-        self.search = Search(*(np.array(a) for a in self.search))
+        fresh = begin_search((self.state * self.weight).T, self.max_period, np)
+        self.search: Any = jax.tree.map(np.array, self._lanes_first(fresh))
+        """A `Search` in arrays of numpy, lanes leading."""
         self.limit = np.full(lanes, NEAR)
         self.stage = np.full(lanes, MARCH)
         self.period = np.zeros(lanes, np.int32)
@@ -153,8 +152,8 @@ class LanePool:
         return own, own[np.minimum(np.arange(width), len(own) - 1)]
 
     @staticmethod
-    def _lanes_first(search: Search) -> Search:
-        return Search(*(np.moveaxis(np.asarray(a), -1, 0) for a in search))
+    def _lanes_first(search: Search) -> Any:
+        return jax.tree.map(lambda a: np.moveaxis(np.asarray(a), -1, 0), search)
 
     def _run_march(self, chosen: np.ndarray) -> None:
         own, lanes = self._batch(chosen)
@@ -163,7 +162,7 @@ class LanePool:
         still = 3 * len(own) // 4 if waits else len(own) // 2
         done = self.search.done[lanes]
         done[len(own) :] = True
-        search = Search(*(np.moveaxis(a[lanes], 0, -1) for a in self.search))
+        search = jax.tree.map(lambda a: np.moveaxis(a[lanes], 0, -1), self.search)
         search, period = _march(
             self.march,
             self.rig[lanes],
@@ -223,7 +222,7 @@ class LanePool:
         window = np.where(self.period > 0, self.period, APERIODIC_PERIODS)
         own, lanes = self._batch(chosen[window[chosen] == window[chosen].min()])
         state = self.state[lanes]
-        lost = ~np.isfinite(state).all(axis=1)
+        lost = ~np.all(np.isfinite(state), axis=1)
         # A lane that is lost starts again from rest at the next frequency.
         state = np.where(lost[:, None], 0.0, state)
         window = np.where(lost, 0, window[lanes]).astype(np.int32)

@@ -17,7 +17,7 @@ from vibrojax.studies.frequency_sweep import frequency_axis
 from vibrojax.studies.maps import store as stores
 from vibrojax.studies.maps.chunks import Chunks
 from vibrojax.studies.maps.dimensions import Arguments, Zipped, arguments_of, default_of
-from vibrojax.studies.maps.measures import Measure, measures_of, source_of
+from vibrojax.studies.maps.measures import measures_of, source_of
 from vibrojax.studies.maps.planning import MapPlan, chunks_of, plan_of
 from vibrojax.studies.maps.responses import AbstractMapResponse, Grid, chosen_response
 from vibrojax.studies.maps.rig_maker import RigMaker
@@ -97,7 +97,7 @@ def parameter_map(
     Parameters:
         make_system: function from named numbers to a system. Written with jax.numpy (or plain
             arithmetic) it is traced once for all lanes; any other function is called for each.
-        zipped: groups of arguments that go along one axis together, `vj.zipped(taper=..., gap=...)`.
+        zipped: groups of arguments that go along one axis, `vj.zipped(taper=..., gap=...)`.
         frequency_ratio: drive frequencies over the first natural frequency of the unstopped
             system, increasing; or one number, which makes a map at one frequency.
         frequency: the same in Hz; give one of the two.
@@ -152,9 +152,7 @@ def parameter_map(
     template = template_of(named.dimensions, chosen, grid, wanted, keep, gradients, units)
     _check_names(template)
     chunks = chunks_of(maker, chosen, grid, chunk_lanes, memory, workers)
-    spec = MapSpec(
-        make_system, named, grid, chosen, wanted, keep, gradients, chunks, template
-    )
+    spec = MapSpec(make_system, named, grid, chosen, wanted, keep, gradients, chunks, template)
     settings = _settings(spec, maker)
     if found is not None:
         assert store is not None
@@ -232,9 +230,7 @@ def _settings(spec: MapSpec, maker: RigMaker) -> dict[str, Any]:
     }
 
 
-def _attributes(
-    spec: MapSpec, sample: AbstractSystem, settings: dict[str, Any]
-) -> dict[str, Any]:
+def _attributes(spec: MapSpec, sample: AbstractSystem, settings: dict[str, Any]) -> dict[str, Any]:
     """What the dataset says of itself: enough to make it again."""
     dims = {*spec.template.outer, *(d for v in spec.template.variables.values() for d in v.dims)}
     others = [name for name in spec.template.coordinates if name not in dims]
@@ -352,4 +348,3 @@ def _dataset(place: Any, names: list[str], in_memory: bool) -> "xarray.Dataset":
             texts = np.array([str(text) for text in values.values])
             dataset = dataset.assign_coords({name: (values.dims, texts, values.attrs)})
     return dataset
-

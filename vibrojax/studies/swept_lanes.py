@@ -215,7 +215,7 @@ def sweep_rigs(
     found.fill_brackets(plan.grid)
     swept = Swept(curves, course.states.reshape(*shape, states), found, first / (2 * np.pi))
     if plan.refine_jumps is not None and found.any():
-        _refine(plan, prepared, swept, unit)
+        _refine(plan, plan.refine_jumps, prepared, swept, unit)
     return swept
 
 
@@ -224,14 +224,16 @@ def _pool(plan: SweepPlan, prepared: Prepared, rig: np.ndarray) -> LanePool:
     return LanePool(prepared.march, rig, tolerance, plan.max_period, plan.max_periods)
 
 
-def _refine(plan: SweepPlan, prepared: Prepared, swept: Swept, unit: np.ndarray) -> None:
-    """Bisect every jump from the state before it until its bracket is narrow."""
+def _refine(
+    plan: SweepPlan, width: float, prepared: Prepared, swept: Swept, unit: np.ndarray
+) -> None:
+    """Bisect every jump from the state before it until its bracket is as narrow as `width`."""
     rig, way = np.nonzero(swept.jumps.exists)
     before, after = swept.jumps.before[rig, way], swept.jumps.after[rig, way]
     bracket = swept.jumps.bracket[rig, way]
     scale = 1.0 if plan.axis == "frequency_ratio" else swept.natural_frequency[rig]
-    width = np.abs(bracket[:, 1] - bracket[:, 0]) / scale / plan.refine_jumps
-    halvings = np.ceil(np.log2(np.maximum(width, 1.0))).astype(int)
+    parts = np.abs(bracket[:, 1] - bracket[:, 0]) / scale / width
+    halvings = np.ceil(np.log2(np.maximum(parts, 1.0))).astype(int)
     wide = halvings > 0
     if not wide.any():
         return

@@ -12,7 +12,7 @@ class Block(NamedTuple):
     number: int
     region: tuple[slice, ...]
     """Where its results belong."""
-    index: tuple[np.ndarray, ...]
+    indices: tuple[np.ndarray, ...]
     """Indices along every dimension, the last one repeated at the edge of the grid up to the full
     length: all chunks have one shape and compile once."""
 
@@ -29,7 +29,7 @@ class Block(NamedTuple):
     @property
     def inside(self) -> np.ndarray:
         """Which of the lanes that are computed belong to the grid."""
-        kept = [np.arange(len(i)) < n for i, n in zip(self.index, self.shape, strict=True)]
+        kept = [np.arange(len(i)) < n for i, n in zip(self.indices, self.shape, strict=True)]
         grid = np.ones((), bool)
         for one in kept:
             grid = np.logical_and.outer(grid, one)

@@ -117,9 +117,7 @@ def curve_slopes(
     is_ratio = grid.axis == "frequency_ratio"
     parts = [
         jax.device_get(
-            _point_slopes(
-                prepared, slopes, rig[at], value[at], is_ratio, states[at].T, periods[at]
-            )
+            _point_slopes(prepared, slopes, rig[at], value[at], is_ratio, states[at].T, periods[at])
         )
         for at in _padded(len(rig), WIDTH)
     ]
@@ -174,7 +172,9 @@ def fold_slopes(
         places, start = np.argwhere(there), states[there]
         for at in _padded(len(lane), FOLD_WIDTH):
             zero = np.zeros(len(at))
-            near = Fold(value[there][at], zero, zero, start[at], np.ones(len(at), bool))
+            near = Fold(
+                *map(jnp.asarray, (value[there][at], zero, zero, start[at], np.ones(len(at), bool)))
+            )
             own = {n: v[lane[at]] for n, v in numbers.items()}
             got = _fold_slopes(maker.make, static, names, own, near, free[there][at], axis)
             for name in names:

@@ -103,9 +103,7 @@ def plan_of(spec: MapSpec, maker: RigMaker, workers: int) -> MapPlan:
     run = time.perf_counter() - between
     ways = max(1, len(spec.response.ways()[1]))
     coordinates = eqx.filter_eval_shape(maker.sample().equations).size
-    stored = sum(
-        math.prod(v.shape) * v.dtype.itemsize for v in spec.template.variables.values()
-    )
+    stored = sum(math.prod(v.shape) * v.dtype.itemsize for v in spec.template.variables.values())
     per_lane = lane_bytes(spec.response, spec.grid, coordinates)
     return MapPlan(
         lanes=spec.arguments.lanes,
@@ -127,9 +125,7 @@ def _trial(spec: MapSpec, maker: RigMaker, rows: list[tuple[int, ...]]) -> MapSp
     # Static dimensions stay at their first value: another one would compile anew.
     values: dict[str, Any] = {}
     fixed = dict(spec.arguments.fixed)
-    for k, (d, is_static) in enumerate(
-        zip(spec.arguments.dimensions, maker.static, strict=True)
-    ):
+    for k, (d, is_static) in enumerate(zip(spec.arguments.dimensions, maker.static, strict=True)):
         for name, own in d.values.items():
             if is_static:
                 fixed[name] = own[0].item()

@@ -14,7 +14,7 @@ from vibrojax.results.status import Status
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.frequency_sweep import DIRECTIONS, sweep_plan
 from vibrojax.studies.maps.rig_maker import RigMaker
-from vibrojax.studies.swept_lanes import numbers_of_jumps, before_jumps, sweep_rigs
+from vibrojax.studies.swept_lanes import before_jumps, numbers_of_jumps, sweep_rigs
 from vibrojax.systems.base import AbstractSystem
 
 Tell = Callable[[int], object]

@@ -158,4 +158,3 @@ def run_on_cluster(
                 ended.add(submit(following))
     finally:
         client.cancel([f for f in ended.futures], force=True)
-

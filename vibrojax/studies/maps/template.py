@@ -54,8 +54,8 @@ def template_of(
     coordinates: dict[str, Any] = {}
     for d in dimensions:
         for name, values in d.values.items():
-            described = axis_description(name) if values.dtype.kind in "fiu" else {}
-            coordinates[name] = ((d.name,), values, described)
+            told = axis_description(name) if values.dtype.kind in "fiu" else {}
+            coordinates[name] = ((d.name,), values, told)
     if ways:
         told = {"long_name": "Direction of the sweep" if way == "direction" else "Along the branch"}
         coordinates[way] = ((way,), np.array(ways), told)

@@ -45,7 +45,7 @@ class MapWork:
         """Return a block and the values of all variables in it."""
         spec = self.spec
         block = spec.chunks.at(number)
-        computed = spec.response.compute(self.maker, block.index, spec.grid, tell)
+        computed = spec.response.compute(self.maker, block.indices, spec.grid, tell)
         values = self._values(block, computed)
         inside = block.inside
         found = {}
@@ -79,11 +79,11 @@ class MapWork:
         self, block: Block, computed: Computed, curves: dict, shared: dict
     ) -> dict[str, np.ndarray]:
         spec = self.spec
-        sample = self.maker.sample(tuple(int(i[0]) for i in block.index))
+        sample = self.maker.sample(tuple(int(i[0]) for i in block.indices))
         method = choose_method(sample, None, GRADIENT_TOLERANCE, None)
         names = spec.gradients
-        at_points = curve_slopes(self.maker, block.index, names, spec.grid, method, computed)
-        at_folds = fold_slopes(self.maker, block.index, names, spec.grid.axis, computed)
+        at_points = curve_slopes(self.maker, block.indices, names, spec.grid, method, computed)
+        at_folds = fold_slopes(self.maker, block.indices, names, spec.grid.axis, computed)
         slopes: Slopes = {}
         for name in names:
             numbers = {n: a for n, a in at_points[name].items() if n == "natural_frequency"}
