@@ -141,3 +141,37 @@ def test_every_value_of_every_axis_is_built_before_anything_runs():
     maker, _ = systems_of(lambda gap: gap, gap=[1e-4])
     with pytest.raises(ValueError, match="must return a system"):
         maker.check()
+
+
+def test_a_rig_that_holds_other_numbers_is_another_rig(tmp_path, monkeypatch):
+    # Its arrays print alike, and nothing in the call tells them apart.
+    monkeypatch.setattr("vibrojax.studies.parameter_map._run", lambda *_: None)
+
+    def call(mass, factor):
+        def oscillator(gap):
+            stop = vj.Stop(None, gap, vj.KelvinVoigt(50.0, 0.1))
+            return vj.MatrixSystem(
+                [[mass]],
+                [[0.1]],
+                [[1.0]],
+                response_map=[1.0],
+                stops=stop,
+                stop_map=[[1.0]],
+                drive=vj.BaseMotion(1.0),
+                input_map=[1.0],
+            )
+
+        return vj.parameter_map(
+            oscillator,
+            gap=[1.0, 2.0],
+            frequency_ratio=[0.9, 1.0],
+            measures={"scaled": lambda curve: factor * curve["peak_ratio"].max()},
+            store=tmp_path / "map.zarr",
+        )
+
+    call(1.0, 1.0)
+    call(1.0, 1.0)
+    with pytest.raises(ValueError, match=r"other settings\. first rig"):
+        call(4.0, 1.0)
+    with pytest.raises(ValueError, match=r"other settings\. measures: scaled"):
+        call(1.0, 2.0)

@@ -1,5 +1,6 @@
 """Parametric maps: any number of axes, larger than memory, resumable, here or on a cluster."""
 
+import hashlib
 import inspect
 import json
 import os
@@ -17,7 +18,7 @@ from vibrojax.studies.frequency_sweep import frequency_axis
 from vibrojax.studies.maps import store as stores
 from vibrojax.studies.maps.chunks import Chunks
 from vibrojax.studies.maps.dimensions import Arguments, Zipped, arguments_of, default_of
-from vibrojax.studies.maps.measures import measures_of, source_of
+from vibrojax.studies.maps.measures import identity_of, measures_of, source_of
 from vibrojax.studies.maps.planning import MapPlan, chunks_of, plan_of
 from vibrojax.studies.maps.responses import AbstractMapResponse, Grid, chosen_response
 from vibrojax.studies.maps.rig_maker import RigMaker
@@ -222,12 +223,20 @@ def _settings(spec: MapSpec, maker: RigMaker) -> dict[str, Any]:
         "frequency": {"axis": spec.grid.axis, "values": spec.grid.values.tolist()},
         "single_frequency": spec.grid.single,
         "response": repr(spec.response),
-        "measures": {m.name: None if m.own else source_of(m.function) for m in spec.measures},
+        "measures": {m.name: None if m.own else identity_of(m.function) for m in spec.measures},
         "keep_curves": spec.keep_curves,
         "gradients": list(spec.gradients),
-        "first_rig": repr(maker.sample()),
-        "last_rig": repr(maker.sample(last)),
+        "first_rig": _identity(maker.sample()),
+        "last_rig": _identity(maker.sample(last)),
     }
+
+
+def _identity(system: AbstractSystem) -> str:
+    """A system in words, and every digit of its numbers: arrays are not printed in full."""
+    digits = hashlib.sha256()
+    for leaf in jax.tree.leaves(system):
+        digits.update(np.asarray(leaf).tobytes())
+    return f"{system!r} {digits.hexdigest()[:16]}"
 
 
 def _attributes(spec: MapSpec, sample: AbstractSystem, settings: dict[str, Any]) -> dict[str, Any]:
@@ -308,11 +317,11 @@ def _run(spec: MapSpec, made: stores.MapStore, place: Any, client: Any, progress
                 failures[outcome.number] = outcome.failure
                 bar.set_postfix_str(f"{len(failures)} chunks failed")
             bar.update(lanes[outcome.number])
-    if left:
-        made.note(
-            failures=json.dumps({str(k): text for k, text in sorted(failures.items())}),
-            summary=_summary(spec, failures, lanes),
-        )
+    # Also where nothing was left: the call before may have been interrupted just before this.
+    made.note(
+        failures=json.dumps({str(k): text for k, text in sorted(failures.items())}),
+        summary=_summary(spec, failures, lanes),
+    )
     if failures:
         warnings.warn(_summary(spec, failures, lanes), stacklevel=3)
 

@@ -137,6 +137,14 @@ def source_of(function: Callable[..., Any]) -> str:
         return f"{code.co_code.hex()} {code.co_consts!r} {code.co_names!r}"
 
 
+def identity_of(function: Callable[..., Any]) -> str:
+    """Return what tells a function from others: its text and the values it holds on to."""
+    cells = getattr(function, "__closure__", None) or ()
+    held = [repr(cell.cell_contents) for cell in cells]
+    held += [repr(value) for value in getattr(function, "__defaults__", None) or ()]
+    return "\n".join([source_of(function), *held])
+
+
 class _Own:
     """The library's own measures, compiled once for each."""
 

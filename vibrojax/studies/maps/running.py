@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from vibrojax.studies.maps.store import MapStore, StoreFull, is_full, open_map
+from vibrojax.studies.maps.store import MapStore, StoreFull, open_map
 from vibrojax.studies.maps.work import MapSpec, MapWork
 
 AHEAD = 4
@@ -37,30 +37,14 @@ def attempt(work: MapWork, store: MapStore, number: int) -> Outcome:
         try:
             block, values = work.compute(number)
             store.write(block, values)
+        except StoreFull:
+            raise
         except Exception as error:
-            if is_full(error):
-                raise StoreFull(
-                    error.errno,  # pyright: ignore[reportAttributeAccessIssue]
-                    "The disk of the store is full. What is whole stays: make room and repeat the "
-                    "same call",
-                ) from None
             failure = f"{type(error).__name__}: {error}"
         else:
             return Outcome(number, None)
-    _mark_failed(work, store, number)
+    store.mark_failed(work.spec.chunks.at(number))
     return Outcome(number, failure)
-
-
-def _mark_failed(work: MapWork, store: MapStore, number: int) -> None:
-    try:
-        store.mark_failed(work.spec.chunks.at(number))
-    except Exception as error:
-        if is_full(error):
-            raise StoreFull(
-                error.errno,  # pyright: ignore[reportAttributeAccessIssue]
-                "The disk of the store is full. Make room and repeat the same call",
-            ) from None
-        raise
 
 
 class _Devices:

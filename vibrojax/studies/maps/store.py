@@ -71,15 +71,17 @@ class MapStore:
         return self.arrays[name]
 
     def write(self, block: Block, values: dict[str, np.ndarray]) -> None:
-        """Write the results of a block, `lane_status` last."""
-        for name, value in values.items():
-            if name != "lane_status":
-                self._array(name)[block.region] = value
-        self._array("lane_status")[block.region] = values["lane_status"]
+        """Write the results of a block, `lane_status` last. Raises `StoreFull`."""
+        with _told_when_full():
+            for name, value in values.items():
+                if name != "lane_status":
+                    self._array(name)[block.region] = value
+            self._array("lane_status")[block.region] = values["lane_status"]
 
     def mark_failed(self, block: Block) -> None:
-        """Say that a block was tried and failed."""
-        self._array("lane_status")[block.region] = np.full(block.shape, FAILED, np.int8)
+        """Say that a block was tried and failed. Raises `StoreFull`."""
+        with _told_when_full():
+            self._array("lane_status")[block.region] = np.full(block.shape, FAILED, np.int8)
 
     def state(self, number: int) -> int:
         """Return 0 where a block is whole, else FAILED or MISSING."""
