@@ -40,6 +40,7 @@ def test_chunks_waste_little_at_the_edges():
     computed = chunks.number * chunks.lanes_per_block
     assert chunks.block == (1, 51)
     assert computed <= 1.02 * 3 * 101
+    assert cut((10, 20), (False, False), 8).block == (1, 5)  # 7 would compute a lane twice
 
 
 def test_a_few_lanes_are_spread_over_the_whole_grid():

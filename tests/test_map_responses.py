@@ -142,7 +142,7 @@ def test_derivatives_of_sweeps():
     assert_difference(
         make, found, names, {"stiffness": 5500.0, "base_amplitude": 0.2e-3}, np.asarray
     )
-    assert found.d_peak_d_stiffness.attrs["units"] == "1"
+    assert found.d_peak_d_stiffness.attrs["units"] == "1/(N/m)"
     jumps = vj.parameter_map(
         rig,
         frequency_ratio=GRID,

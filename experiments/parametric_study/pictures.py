@@ -35,7 +35,8 @@ def draw_frequencies(dataset: xarray.Dataset, folder: Path) -> None:
     """Draw the amplitude over gap and frequency of one rig, forward beside backward."""
     rig = {"taper": 0.5, "mass_ratio": 0.5, "position": 0.5}
     near = {k: float(dataset[k].sel({k: v}, method="nearest")) for k, v in rig.items()}
-    figure = vj.plot_map(dataset, "amplitude_ratio", y="gap", **near)
+    around = dataset.sel(frequency_ratio=slice(0.9, 1.35))
+    figure = vj.plot_map(around, "amplitude_ratio", y="gap", **near)
     figure.savefig(folder / "frequencies.png", dpi=DPI)
 
 

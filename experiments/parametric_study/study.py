@@ -91,7 +91,7 @@ def summarise(dataset: xarray.Dataset) -> dict[str, Any]:
     for name in ("taper", "mass_ratio", "gap", "position", "direction"):
         others = [d for d in aperiodic.dims if d != name]
         share = aperiodic.mean(others).values
-        keys = [f"{v:g}" if v.dtype.kind == "f" else str(v) for v in dataset[name].values]
+        keys = [str(v) if name == "direction" else f"{v:g}" for v in dataset[name].values]
         said[f"aperiodic_share_by_{name}"] = dict(
             zip(keys, [round(float(s), 4) for s in share], strict=True)
         )
@@ -137,13 +137,19 @@ def run(output: Path, store: Path, quick: bool = False, count: int = 1) -> dict[
             **cost,
         }
         (results / "run.json").write_text(json.dumps(said, indent=1) + "\n")
+    conclude(dataset, output)
+    return said
+
+
+def conclude(dataset: xarray.Dataset, output: Path) -> None:
+    """Write the measures and the trends, and draw."""
+    results = output / "results"
     write_measures(dataset, results / "measures.csv")
     counts = trends.count_all(dataset)
     (results / "trends.md").write_text(trends.to_markdown(counts, dataset))
-    pictures.draw_all(dataset, counts, drawn)
+    pictures.draw_all(dataset, counts, output / "pictures")
     for c in counts:
         print(f"{100 * c.share:3.0f} % of {c.pairs:4d} steps: {c.claim}")
-    return said
 
 
 def size_of(folder: Path) -> int:
@@ -159,10 +165,14 @@ def main() -> None:
     parser.add_argument(
         "--output", type=Path, help="folder to write into (default: here; --quick: quick/ here)"
     )
+    parser.add_argument("--pictures", action="store_true", help="only draw what the store has")
     given = parser.parse_args()
     output = given.output or (HERE / "quick" if given.quick else HERE)
     store = given.store or (output / "work" / "study.zarr")
-    run(output, store, given.quick, given.workers)
+    if given.pictures:
+        conclude(xarray.open_zarr(store, consolidated=False, chunks=None).load(), output)
+    else:
+        run(output, store, given.quick, given.workers)
 
 
 if __name__ == "__main__":

@@ -70,6 +70,9 @@ class Count(NamedTuple):
     whole_lines: int
     """Of the lines along the axis (all else fixed), those without a step against and with one
     along."""
+    calm_pairs: int
+    calm_with_it: int
+    """The same where neither rig has a point without a period."""
 
     @property
     def share(self) -> float:
@@ -85,6 +88,8 @@ def count(claim: Claim, dataset: xarray.Dataset) -> Count:
     ahead = claim.sign * (after - before)
     there = np.isfinite(ahead)
     along, against = there & (ahead > slack), there & (ahead < -slack)
+    calm = (dataset["aperiodic_fraction"] == 0).transpose(..., claim.along).values
+    calm = there & calm[..., :-1] & calm[..., 1:]
     has_pairs = there.any(axis=-1)
     whole = along.any(axis=-1) & ~against.any(axis=-1)
     return Count(
@@ -96,6 +101,8 @@ def count(claim: Claim, dataset: xarray.Dataset) -> Count:
         int(against.sum()),
         int(has_pairs.sum()),
         int(whole.sum()),
+        int(calm.sum()),
+        int((calm & along).sum()),
     )
 
 
@@ -115,7 +122,7 @@ def _corner(dataset: xarray.Dataset) -> tuple[int, int]:
     peaks = dataset["settled_peak_ratio"].stack(rigs)
     touched = (dataset["largest_contact_force"] > 0).stack(rigs).all("rig").values
     where = peaks.argmax("rig").values[touched]
-    high, low = dataset["taper"].argmax().item(), dataset["mass_ratio"].argmin().item()
+    high, low = np.argmax(dataset["taper"].values), np.argmin(dataset["mass_ratio"].values)
     return int((where == high * dataset.sizes["mass_ratio"] + low).sum()), len(where)
 
 
@@ -133,15 +140,16 @@ def to_markdown(counts: list[Count], dataset: xarray.Dataset) -> str:
     """Return the table of shares, beside the verdicts on the single figures."""
     verdicts = _paper_verdicts()
     lines = [
-        "| claim | paper | steps along | level | against | of steps | lines that hold "
-        "| figures of the paper |",
-        "|---|---|---|---|---|---|---|---|",
+        "| claim | paper | steps along | level | against | of steps | along where all is periodic "
+        "| lines that hold | figures of the paper |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for c in counts:
         of = max(1, c.pairs)
         shares = " | ".join(f"{100 * n / of:.0f} %" for n in (c.with_it, c.level, c.against))
         lines.append(
-            f"| {c.claim} | {c.source} | {shares} | {c.pairs} | {c.whole_lines} of {c.lines} "
+            f"| {c.claim} | {c.source} | {shares} | {c.pairs} | {c.calm_with_it} of {c.calm_pairs} "
+            f"| {c.whole_lines} of {c.lines} "
             f"| {verdicts.get(c.claim, '')} |"
         )
     corner, jump = _corner(dataset), _jump_spread(dataset)

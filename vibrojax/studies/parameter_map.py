@@ -166,9 +166,11 @@ def parameter_map(
     if found is None:
         attributes = _attributes(spec, sample, settings)
         made = stores.create(place, template, chunks, attributes)
+        left = list(range(chunks.number))
     else:
         made = stores.open_map(place, chunks)
-    _run(spec, made, place, client, progress)
+        left = made.not_whole()
+    _run(spec, made, left, place, client, progress)
     return _dataset(place, list(template.variables), in_memory=store is None)
 
 
@@ -293,12 +295,17 @@ def _same_chunks(found: dict[str, Any], chunks: Chunks, asked: int | None) -> Ch
     return chunks._replace(block=block)
 
 
-def _run(spec: MapSpec, made: stores.MapStore, place: Any, client: Any, progress: Any) -> None:
-    """Compute the chunks that are not whole, and say in the store what is missing."""
+def _run(
+    spec: MapSpec,
+    made: stores.MapStore,
+    left: list[int],
+    place: Any,
+    client: Any,
+    progress: bool | None,
+) -> None:
+    """Compute the chunks that are left, and say in the store what is missing."""
     from tqdm import tqdm
 
-    states = made.states()
-    left = [int(k) for k in np.flatnonzero(states != 0)]
     lanes = [spec.chunks.at(k).lanes for k in range(spec.chunks.number)] if left else []
     total = spec.arguments.lanes
     outcomes: Iterator[Outcome]

@@ -82,12 +82,18 @@ def cut(shape: tuple[int, ...], single: tuple[bool, ...], lanes: int) -> Chunks:
     for k in reversed(range(len(shape))):
         if single[k]:
             continue
-        parts = -(-shape[k] // max(1, min(room, shape[k])))
-        block[k] = -(-shape[k] // parts)  # as even as they come: little is computed twice
+        block[k] = _even(shape[k], min(room, shape[k]))
         room //= block[k]
         if room < 2:
             break
     return Chunks(shape, tuple(block))
+
+
+def _even(size: int, most: int) -> int:
+    """Return the length of blocks that cover an axis with the least computed twice."""
+    fewest = -(-size // most)
+    lengths = [-(-size // parts) for parts in range(fewest, 2 * fewest + 1)]
+    return min(lengths, key=lambda length: (-(-size // length) * length - size, -length))
 
 
 def spread_out(shape: tuple[int, ...], lanes: int) -> list[tuple[int, ...]]:

@@ -17,7 +17,7 @@ from vibrojax.studies.continuation_paths import frequency_paths
 from vibrojax.studies.continuation_plan import Plan, Resolution
 from vibrojax.studies.continue_response import samples_of
 from vibrojax.studies.maps.measures import PLACES
-from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Folds, Grid, Points, Tell
+from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Folds, Grid, Points
 from vibrojax.studies.maps.rig_maker import RigMaker
 from vibrojax.systems.base import AbstractSystem
 
@@ -86,9 +86,7 @@ class ContinuationCurve(AbstractMapResponse):
         """Whether the branch reached the end of the range."""
         return "completed", "incomplete", "diverged"
 
-    def compute(
-        self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid, tell: Tell
-    ) -> Computed:
+    def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Follow the branches of a block."""
         sample = maker.sample(tuple(int(i[0]) for i in index))
         exact = is_exact(sample)
@@ -114,7 +112,6 @@ class ContinuationCurve(AbstractMapResponse):
             own, state = self._resampled(branch, grid.values)
             curves.append(own)
             states.append(state)
-            tell(len(grid.values))
         stacked = jax.tree.map(lambda *a: np.stack(a), *curves)
         found = np.isfinite(stacked["amplitude_ratio"])
         done = np.array([b.completed for b in branches])

@@ -11,7 +11,7 @@ from vibrojax.response.methods import HarmonicBalance, Shooting
 from vibrojax.response.periodic_response import periodic_response
 from vibrojax.results.periodic_response import NUMBERS
 from vibrojax.studies.frequency_sweep import check_drive
-from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid, Points, Tell
+from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid, Points
 from vibrojax.studies.maps.rig_maker import RigMaker
 from vibrojax.systems.base import AbstractSystem
 
@@ -79,9 +79,7 @@ class PeriodicPoints(AbstractMapResponse):
         """Whether a motion was found at every frequency."""
         return "found", "not_found", "diverged"
 
-    def compute(
-        self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid, tell: Tell
-    ) -> Computed:
+    def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Solve every point of a block."""
         systems = jax.device_get(maker.systems(index))
         lanes = int(np.prod([len(i) for i in index], dtype=int))
@@ -103,7 +101,6 @@ class PeriodicPoints(AbstractMapResponse):
                     )
                 )
             )
-            tell(min(WIDTH, len(rig) - start))
         joined = jax.tree.map(lambda *a: np.concatenate(a)[: len(rig)], *parts)
         numbers, states, stable, status = joined
         shape = (lanes, 1, count)

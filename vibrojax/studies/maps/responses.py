@@ -1,7 +1,6 @@
 """How the lanes of a map are answered: which response, with which settings."""
 
 from abc import abstractmethod
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,7 +16,6 @@ from vibrojax.studies.maps.rig_maker import RigMaker
 from vibrojax.studies.swept_lanes import before_jumps, numbers_of_jumps, sweep_rigs
 from vibrojax.systems.base import AbstractSystem
 
-Tell = Callable[[int], object]
 WHOLE = ("period", "status", "periods_marched", "steps")
 """Variables that are whole numbers."""
 
@@ -92,10 +90,8 @@ class AbstractMapResponse(eqx.Module):
         """How a lane can end, from whole to lost: a word each."""
 
     @abstractmethod
-    def compute(
-        self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid, tell: Tell
-    ) -> Computed:
-        """Answer all lanes of a block; `tell` hears how many points were reached."""
+    def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
+        """Answer all lanes of a block."""
 
     @property
     def bytes_per_point(self) -> int:
@@ -172,12 +168,10 @@ class SettledSweep(AbstractMapResponse):
         """As bad as its worst point."""
         return Status.settled.name, Status.aperiodic.name, Status.diverged.name
 
-    def compute(
-        self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid, tell: Tell
-    ) -> Computed:
+    def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Sweep the rigs of a block."""
         sample = maker.sample(tuple(int(i[0]) for i in index))
-        swept = sweep_rigs(self._plan(sample, grid), maker.rigs(index), tell)
+        swept = sweep_rigs(self._plan(sample, grid), maker.rigs(index))
         jumps = numbers_of_jumps(swept)
         curves = swept.curves
         worst = curves["status"].max(axis=(1, 2))

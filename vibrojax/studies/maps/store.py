@@ -83,15 +83,13 @@ class MapStore:
         with _told_when_full():
             self._array("lane_status")[block.region] = np.full(block.shape, FAILED, np.int8)
 
-    def state(self, number: int) -> int:
-        """Return 0 where a block is whole, else FAILED or MISSING."""
-        first = tuple(part.start for part in self.chunks.at(number).region)
-        found = int(np.asarray(self._array("lane_status")[first]))
-        return found if found in (FAILED, MISSING) else 0
+    def not_whole(self) -> list[int]:
+        """Return the numbers of the blocks that are missing or failed."""
+        return [k for k in range(self.chunks.number) if self._first_status(k) in (FAILED, MISSING)]
 
-    def states(self) -> np.ndarray:
-        """Return the state of every block."""
-        return np.array([self.state(k) for k in range(self.chunks.number)], int)
+    def _first_status(self, number: int) -> int:
+        first = tuple(part.start for part in self.chunks.at(number).region)
+        return int(np.asarray(self._array("lane_status")[first]))
 
     def note(self, **attributes: Any) -> None:
         """Add to the attributes of the dataset, where they are not there yet.

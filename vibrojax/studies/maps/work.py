@@ -10,7 +10,7 @@ from vibrojax.studies.maps.chunks import Block, Chunks
 from vibrojax.studies.maps.dimensions import Arguments
 from vibrojax.studies.maps.gradients import Slopes, curve_slopes, fold_slopes, measure_slopes
 from vibrojax.studies.maps.measures import Measure, measure_lanes
-from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid, Tell
+from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid
 from vibrojax.studies.maps.rig_maker import RigMaker
 from vibrojax.studies.maps.template import Template
 
@@ -39,13 +39,11 @@ class MapWork:
         self.spec = spec
         self.maker = RigMaker(spec.make, spec.arguments)
 
-    def compute(
-        self, number: int, tell: Tell = lambda count: None
-    ) -> tuple[Block, dict[str, np.ndarray]]:
+    def compute(self, number: int) -> tuple[Block, dict[str, np.ndarray]]:
         """Return a block and the values of all variables in it."""
         spec = self.spec
         block = spec.chunks.at(number)
-        computed = spec.response.compute(self.maker, block.indices, spec.grid, tell)
+        computed = spec.response.compute(self.maker, block.indices, spec.grid)
         values = self._values(block, computed)
         inside = block.inside
         found = {}
