@@ -63,6 +63,7 @@ def test_4_mm_is_out_of_reach(experiment, formulation):
 
 
 @pytest.mark.slow
+@pytest.mark.long  # minutes
 def test_quick_run(experiment, tmp_path):
     verdicts = experiment("run").reproduce(tmp_path, quick=True)
     assert {v.formulation for v in verdicts} == {"either", "consistent", "as_printed"}

@@ -83,6 +83,7 @@ def test_recovers_the_stiffness_and_bounds_the_damping(fit):
 
 
 @pytest.mark.slow
+@pytest.mark.long  # minutes
 def test_poor_guesses_end_in_the_same_place(make, name, fit):
     for stiffness, damping in ((500.0, 10.0), (50000.0, 1e-6)):
         other = vj.identify(make, measured(name=name), dict(stiffness=stiffness, damping=damping))

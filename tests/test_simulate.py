@@ -153,6 +153,7 @@ def test_gradients_of_a_history_match_finite_differences():
 
 
 @pytest.mark.slow
+@pytest.mark.long  # minutes
 def test_gradients_nest_with_vmap():
     points = POINT * jnp.array([[1.0, 1.0, 1.0, 1.0], [1.02, 0.97, 1.1, 0.9]])
     both = jax.vmap(jax.grad(loss))(points)
