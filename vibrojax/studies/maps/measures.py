@@ -1,7 +1,7 @@
 """What a curve comes to: peak, jumps, hysteresis, forces, or whatever the user asks."""
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -87,8 +87,6 @@ PLACED = ("fold", "grazing")
 """Measures with several values per lane."""
 STEPWISE = ("peak_frequency", "resonance_shift", "aperiodic_fraction", "grazing")
 """Measures that are read off the grid or counted, so that they have no derivative."""
-
-Asked = Sequence[str | Callable[[Curve], Any]] | Mapping[str, Callable[[Curve], Any]] | None
 
 
 def measures_of(asked: Any, offered: tuple[str, ...]) -> tuple[Measure, ...]:

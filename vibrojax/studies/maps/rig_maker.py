@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.studies.axes import stacked
-from vibrojax.studies.maps.dimensions import Arguments
+from vibrojax.studies.maps.dimensions import Arguments, default_of
 from vibrojax.studies.swept_lanes import Rigs, rigs_of
 from vibrojax.systems.base import AbstractSystem, as_arrays
 
@@ -133,7 +133,5 @@ class RigMaker:
 
     def default(self, name: str) -> Any:
         """Return the value of an argument that is not varied."""
-        from vibrojax.studies.maps.dimensions import default_of
-
         fixed = self.arguments.fixed
         return fixed[name] if name in fixed else default_of(self.make, name)

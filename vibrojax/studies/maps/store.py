@@ -49,12 +49,8 @@ def _told_when_full() -> Iterator[None]:
 
 
 def _zarr() -> Any:
-    try:
-        import zarr
-    except ImportError:
-        raise ImportError(
-            "Maps are kept in Zarr stores: pip install 'zarr>=3' (a requirement of vibrojax)."
-        ) from None
+    import zarr  # when a map is made: it takes half a second
+
     return zarr
 
 
