@@ -40,8 +40,8 @@ def frequency_sweep(
     """Sweep the drive frequency up and down and return the steady response at every point.
 
     At each frequency the lanes march from where the last one ended until their motion returns
-    after `max_period` drive periods or fewer, all lanes together. What has not settled after
-    `max_periods` is flagged in `status`, never dropped.
+    after `max_period` drive periods or fewer, each lane at its own pace. What has not settled
+    after `max_periods` is flagged in `status`, never dropped.
 
     Parameters:
         system: the rig, or a function from named numbers to a rig; then further keywords are its
