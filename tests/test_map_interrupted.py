@@ -159,12 +159,14 @@ def test_killed_again_and_again_a_map_ends_as_if_nothing_had_been(tmp_path, fork
 
 
 @pytest.mark.slow
+@pytest.mark.long  # minutes
 def test_ctrl_c_ends_a_map_and_the_same_call_continues_it(tmp_path, environment, whole):
     choice = random.Random(2)
     store = tmp_path / "map.zarr"
     for count in (1, 2):
         least = chunks_in(store) + 2
         devices = {"XLA_FLAGS": f"--xla_force_host_platform_device_count={count}"}
+        devices["MAP_PAUSE"] = "0.5"  # so that some of it is left, however slow this machine looks
         process = start(store, environment, **devices)
         assert wait_until(lambda least=least: chunks_in(store) > least, process)
         time.sleep(choice.uniform(0, 0.1))

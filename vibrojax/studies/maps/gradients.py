@@ -19,6 +19,7 @@ from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.maps.measures import STEPWISE, Curve, Measure
 from vibrojax.studies.maps.responses import Computed, Grid
 from vibrojax.studies.maps.rig_maker import RigMaker
+from vibrojax.studies.maps.template import DIFFERENTIATED
 from vibrojax.studies.swept_lanes import Prepared, Rigs, prepare, ratios_of
 from vibrojax.systems.base import as_arrays
 
@@ -124,10 +125,11 @@ def curve_slopes(
     found: Slopes = {name: {} for name in names}
     first = np.asarray(slopes.first_frequency) / (2 * np.pi)
     for k, name in enumerate(names):
-        for variable in parts[0] if parts else ():
+        for variable in DIFFERENTIATED:
             own = np.full(period.shape, np.nan)
-            joined = np.concatenate([part[variable][k] for part in parts])
-            own[period > 0] = joined[: len(rig)]
+            if parts:
+                joined = np.concatenate([part[variable][k] for part in parts])
+                own[period > 0] = joined[: len(rig)]
             found[name][variable] = own
         found[name]["natural_frequency"] = first[k]
     return found
