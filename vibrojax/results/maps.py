@@ -22,7 +22,7 @@ def plot_map(
     in all, the variable is drawn as lines.
 
     Parameters:
-        dataset: result of `parameter_map`, or such a store opened with `xarray.open_zarr`.
+        dataset: result of `parameter_map`, or `xarray.open_zarr(store, consolidated=False)`.
         variable: what to draw; by default `peak_amplitude_ratio`, else `amplitude_ratio`.
         x, y: names of the axes to draw over.
         selection: a value of any other axis, the nearest one is taken; `direction` by name.
