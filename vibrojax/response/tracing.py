@@ -285,11 +285,11 @@ def _put(whole, part, at):
     return jax.tree.map(put, whole, part)
 
 
-def in_batches(function, count: int):
+def in_batches(function, count: int, width: int = BATCH):
     """Run a function of an index over batches of one size, the last one filled up by repeats."""
     parts = []
-    for first in range(0, count, BATCH):
-        index = np.minimum(np.arange(first, first + BATCH), count - 1)
+    for first in range(0, count, width):
+        index = np.minimum(np.arange(first, first + width), count - 1)
         parts.append(function(index))
     parts = jax.device_get(parts)
     return jax.tree.map(lambda *a: np.concatenate(a)[:count], *parts)

@@ -66,26 +66,27 @@ class Course(Protocol):
         ...
 
 
-def _take(march: AbstractMarch, rigs: Array) -> AbstractMarch:
-    return jax.tree.map(lambda a: jnp.take(a, rigs, axis=-1) if eqx.is_array(a) else a, march)
+def take_rigs(tree: Any, rigs: Array) -> Any:
+    """Pick rigs of a tree in which they are the trailing axis."""
+    return jax.tree.map(lambda a: jnp.take(a, rigs, axis=-1) if eqx.is_array(a) else a, tree)
 
 
 @eqx.filter_jit
 def _march(march, rigs, search, frequency, limit, max_periods, still):
-    own = _take(march, rigs)
+    own = take_rigs(march, rigs)
     search = march_until(own, own.energy_weight(), search, frequency, limit, max_periods, still)
     return search, found_period(search, limit)
 
 
 @eqx.filter_jit
 def _polish(march, rigs, state, frequency, period):
-    own = _take(march, rigs)
+    own = take_rigs(march, rigs)
     return polish(own, own.energy_weight(), state, frequency, period)
 
 
 @eqx.filter_jit
 def _measure(march, rigs, state, frequency, window):
-    return _take(march, rigs)(state, frequency, window, True)
+    return take_rigs(march, rigs)(state, frequency, window, True)
 
 
 class LanePool:

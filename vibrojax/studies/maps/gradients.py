@@ -15,7 +15,9 @@ import numpy as np
 from vibrojax.response.folds import Fold, fold_response
 from vibrojax.response.paths import frequency_path
 from vibrojax.response.special_points import touch_near
+from vibrojax.response.tracing import in_batches
 from vibrojax.stepping.method import AbstractMethod
+from vibrojax.studies.lane_pool import take_rigs
 from vibrojax.studies.maps.measures import STEPWISE, Curve, Measure
 from vibrojax.studies.maps.responses import Computed, Grid
 from vibrojax.studies.maps.rig_maker import RigMaker
@@ -23,20 +25,13 @@ from vibrojax.studies.maps.template import DIFFERENTIATED
 from vibrojax.studies.swept_lanes import Prepared, Rigs, prepare, ratios_of
 from vibrojax.systems.base import as_arrays
 
-WIDTH = 64
-"""Points differentiated side by side."""
 FOLD_WIDTH = 16
+"""Folds differentiated side by side."""
 SAME = 1e-2
 """Relative distance up to which a fold is taken for the one behind a jump."""
 
 Slopes = dict[str, dict[str, np.ndarray]]
 """By the name of the number, then by variable."""
-
-
-def _padded(count: int, width: int) -> list[np.ndarray]:
-    """Indices in batches of one width, the last one repeated."""
-    starts = range(0, count, width)
-    return [np.minimum(np.arange(start, start + width), count - 1) for start in starts]
 
 
 @eqx.filter_jit
@@ -68,14 +63,10 @@ def _prepared(make, static, names, numbers, method) -> tuple[Prepared, Any]:
     return found, jax.tree.map(lambda *a: jnp.stack(a), *slopes)
 
 
-def _take(tree: Any, rigs: Any) -> Any:
-    return jax.tree.map(lambda a: jnp.take(a, rigs, axis=-1) if eqx.is_array(a) else a, tree)
-
-
 @eqx.filter_jit
 def _point_slopes(prepared, slopes, rigs, value, is_ratio, state, period):
-    """Derivatives (numbers, points) of the variables at some points."""
-    numbers, rest = eqx.partition(_take(prepared, rigs), eqx.is_inexact_array)
+    """Derivatives (points, numbers) of the variables at some points."""
+    numbers, rest = eqx.partition(take_rigs(prepared, rigs), eqx.is_inexact_array)
 
     def run(numbers, state):
         own: Prepared = eqx.combine(numbers, rest)
@@ -89,13 +80,13 @@ def _point_slopes(prepared, slopes, rigs, value, is_ratio, state, period):
     nothing = jax.tree.map(jnp.zeros_like, numbers)
     eye = jnp.broadcast_to(jnp.eye(n)[:, :, None], (n, *state.shape))
     end_by_number, by_number = jax.vmap(lambda d: push(d, jnp.zeros_like(state)))(
-        _take(slopes, rigs)
+        take_rigs(slopes, rigs)
     )
     end_by_state, by_state = jax.vmap(lambda e: push(nothing, e))(eye)
     matrix = jnp.eye(n) - jnp.moveaxis(end_by_state, (0, 1), (-1, -2))  # points, rows, columns
     change = jnp.linalg.solve(matrix, jnp.moveaxis(end_by_number, (0, 1), (-1, -2)))
     return {
-        name: by_number[name] + jnp.einsum("sp,psk->kp", by_state[name], change)
+        name: by_number[name].T + jnp.einsum("sp,psk->pk", by_state[name], change)
         for name in by_number
     }
 
@@ -116,20 +107,18 @@ def curve_slopes(
     states = computed.points.states[period > 0]
     value, periods = grid.values[column], period[period > 0].astype(np.int32)
     is_ratio = grid.axis == "frequency_ratio"
-    parts = [
-        jax.device_get(
-            _point_slopes(prepared, slopes, rig[at], value[at], is_ratio, states[at].T, periods[at])
-        )
-        for at in _padded(len(rig), WIDTH)
-    ]
+
+    def at_points(i):
+        return _point_slopes(prepared, slopes, rig[i], value[i], is_ratio, states[i].T, periods[i])
+
+    at = in_batches(at_points, len(rig)) if len(rig) else {}
     found: Slopes = {name: {} for name in names}
     first = np.asarray(slopes.first_frequency) / (2 * np.pi)
     for k, name in enumerate(names):
         for variable in DIFFERENTIATED:
             own = np.full(period.shape, np.nan)
-            if parts:
-                joined = np.concatenate([part[variable][k] for part in parts])
-                own[period > 0] = joined[: len(rig)]
+            if at:
+                own[period > 0] = at[variable][:, k]
             found[name][variable] = own
         found[name]["natural_frequency"] = first[k]
     return found
@@ -168,21 +157,22 @@ def fold_slopes(
     found: Slopes = {name: {} for name in names}
     for variable, (states, free) in computed.folds.items():
         value = computed.numbers[variable]
-        slopes = {name: np.full(value.shape, np.nan) for name in names}
         there = np.isfinite(value) & np.isfinite(states).all(axis=-1)
-        lane = np.nonzero(there)[0]
-        places, start = np.argwhere(there), states[there]
-        for at in _padded(len(lane), FOLD_WIDTH):
-            zero = np.zeros(len(at))
-            near = Fold(
-                *map(jnp.asarray, (value[there][at], zero, zero, start[at], np.ones(len(at), bool)))
-            )
-            own = {n: v[lane[at]] for n, v in numbers.items()}
-            got = _fold_slopes(maker.make, static, names, own, near, free[there][at], axis)
-            for name in names:
-                slopes[name][tuple(places[at].T)] = np.asarray(got[name])
+        lane, place = np.nonzero(there)[0], value[there]
+        start, begins = states[there], free[there]
+
+        def at_folds(i, lane=lane, place=place, start=start, begins=begins):
+            zero, known = jnp.zeros(len(i)), jnp.ones(len(i), bool)
+            near = Fold(jnp.asarray(place[i]), zero, zero, jnp.asarray(start[i]), known)
+            own = {n: v[lane[i]] for n, v in numbers.items()}
+            return _fold_slopes(maker.make, static, names, own, near, begins[i], axis)
+
+        at = in_batches(at_folds, len(lane), FOLD_WIDTH) if len(lane) else {}
         for name in names:
-            found[name][variable] = slopes[name]
+            slope = np.full(value.shape, np.nan)
+            if at:
+                slope[there] = at[name]
+            found[name][variable] = slope
     return found
 
 

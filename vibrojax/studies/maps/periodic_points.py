@@ -9,6 +9,7 @@ import numpy as np
 from vibrojax._checks import check_count, check_range
 from vibrojax.response.methods import HarmonicBalance, Shooting
 from vibrojax.response.periodic_response import periodic_response
+from vibrojax.response.tracing import in_batches
 from vibrojax.results.periodic_response import NUMBERS
 from vibrojax.studies.frequency_sweep import check_drive
 from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid, Points
@@ -86,23 +87,13 @@ class PeriodicPoints(AbstractMapResponse):
         count = len(grid.values)
         rig = np.repeat(np.arange(lanes), count)
         value = np.tile(grid.values, lanes)
-        parts = []
-        for start in range(0, len(rig), WIDTH):
-            at = np.minimum(np.arange(start, start + WIDTH), len(rig) - 1)
-            parts.append(
-                jax.device_get(
-                    _solved(
-                        jax.tree.map(lambda a, at=at: a[rig[at]], systems),
-                        value[at],
-                        grid.axis == "frequency_ratio",
-                        self.period,
-                        self.method,
-                        self.tolerance,
-                    )
-                )
-            )
-        joined = jax.tree.map(lambda *a: np.concatenate(a)[: len(rig)], *parts)
-        numbers, states, stable, status = joined
+
+        def at(i):
+            own = jax.tree.map(lambda a: a[rig[i]], systems)
+            in_ratio = grid.axis == "frequency_ratio"
+            return _solved(own, value[i], in_ratio, self.period, self.method, self.tolerance)
+
+        numbers, states, stable, status = in_batches(at, len(rig), WIDTH)
         shape = (lanes, 1, count)
         curves = {n: numbers[n].reshape(shape).astype(float) for n in NUMBERS if n != "frequency"}
         found = (status == 0).reshape(shape)

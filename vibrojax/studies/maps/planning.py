@@ -97,9 +97,10 @@ def plan_of(spec: MapSpec, maker: RigMaker, workers: int) -> MapPlan:
     rows = spread_out(shape, min(TRIAL, spec.chunks.lanes_per_block))
     trial = _trial(spec, maker, rows)
     started = time.perf_counter()
-    MapWork(trial).compute(0)
+    work = MapWork(trial)
+    work.compute(0)
     between = time.perf_counter()
-    MapWork(trial).compute(0)
+    work.compute(0)
     run = time.perf_counter() - between
     ways = max(1, len(spec.response.ways()[1]))
     coordinates = eqx.filter_eval_shape(maker.sample().equations).size
