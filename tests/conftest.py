@@ -1,5 +1,6 @@
 """Shared set-up: shapes of every annotated array are checked while the tests run."""
 
+import gc
 import sys
 from pathlib import Path
 
@@ -10,12 +11,26 @@ _hook = install_import_hook("vibrojax", "beartype.beartype")
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # exact_propagation, the oracle
 
+import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from exact_propagation import Problem  # noqa: E402
 
 import vibrojax as vj  # noqa: E402
+
+MOST_MAPPINGS = 20_000
+"""Of memory in a process, of which Linux allows 65530; every compiled function takes several."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _room_for_compiled_code():
+    """Forget what was compiled before the kernel refuses XLA more memory, which is a crash."""
+    yield
+    mappings = Path("/proc/self/maps")
+    if mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
 
 
 def make_rig(

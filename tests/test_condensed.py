@@ -27,13 +27,6 @@ class PowerLaw(vj.AbstractContactLaw):
     def force(self, penetration, rate):
         return self.stiffness * penetration * jnp.sqrt(jnp.maximum(penetration, 1e-30))
 
-    def linear_coefficients(self):
-        return None
-
-    @property
-    def can_pull(self):
-        return False
-
 
 @pytest.fixture(scope="module")
 def equations(rig):

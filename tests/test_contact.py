@@ -7,14 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vibrojax.contact import (
-    DEFAULT_SMOOTHING,
-    AbstractContactLaw,
-    KelvinVoigt,
-    Stop,
-    smooth_ramp,
-    smooth_switch,
-)
+from vibrojax.contact import DEFAULT_SMOOTHING, Stop, smooth_ramp, smooth_switch
+from vibrojax.contact_laws import AbstractContactLaw, KelvinVoigt
 
 WIDTH = 0.01
 widths = st.floats(1e-9, 1.0)
@@ -29,13 +23,6 @@ class Cubic(AbstractContactLaw):
 
     def force(self, penetration, rate):
         return self.factor * penetration**3
-
-    def linear_coefficients(self):
-        return None
-
-    @property
-    def can_pull(self):
-        return False
 
 
 @quick

@@ -7,20 +7,13 @@ import pytest
 from scipy.linalg import expm
 
 import vibrojax as vj
-from vibrojax.contact import AbstractContactLaw
+from vibrojax.contact_laws import AbstractContactLaw
 from vibrojax.stepping.contact_phases import MAX_STOPS, contact_phases, forced_blocks
 
 
 class Quadratic(AbstractContactLaw):
     def force(self, penetration, rate):
         return penetration**2
-
-    def linear_coefficients(self):
-        return None
-
-    @property
-    def can_pull(self):
-        return False
 
 
 def with_stops(rig, *stops):

@@ -5,8 +5,10 @@ Only concrete values are checked: under `jit`, `vmap` or `grad` a value is a tra
 
 import difflib
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 from jax.core import Tracer
@@ -25,6 +27,11 @@ def as_number(name: str, value: Any) -> Any:
         # A Python float keeps its weak type, so construction costs no device transfer.
         return float(value)
     return value
+
+
+def number_field(name: str, **default: Any) -> Any:
+    """Make a field of a Module that holds one number: sweepable, batchable, differentiable."""
+    return eqx.field(converter=partial(as_number, name), **default)
 
 
 def is_traced(value: Any) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax._checks import nearest
-from vibrojax.contact import KelvinVoigt
+from vibrojax.contact_laws import KelvinVoigt
 from vibrojax.drive import NoDrive
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.reading import read_measured_curve

@@ -1,93 +1,25 @@
-"""Stops and the laws of contact with them."""
-
-from abc import abstractmethod
-from functools import partial
-from typing import Any
+"""Stops: where they are, when they are touched, and the rounded corner of their force."""
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import (
-    as_number,
     check_choice,
     check_not_negative,
     check_position,
     concrete,
+    number_field,
+)
+from vibrojax.contact_laws import (
+    AbstractContactLaw,
+    AbstractMemoryLaw,
+    linear_coefficients,
+    stored_energy,
 )
 
 DEFAULT_SMOOTHING = 1e-3
 """Width of the rounded corner of the contact force when a `Stop` gives none, in gaps."""
-
-
-def number_field(name: str, **default: Any) -> Any:
-    """Make a field that holds one number: sweepable, batchable, differentiable."""
-    return eqx.field(converter=partial(as_number, name), **default)
-
-
-class AbstractContactLaw(eqx.Module):
-    """Force of a stop on the beam as a function of penetration and rate.
-
-    A law is elementwise and has `force(0, 0) == 0`; the `Stop` decides when there is contact and
-    rounds the corner, so a law never looks at the gap.
-    """
-
-    @abstractmethod
-    def force(
-        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
-        """Return the force that resists penetration, N, positive when it pushes the beam off.
-
-        `penetration` (m) is at least 0 and `rate` (m/s) is its derivative.
-        """
-
-    @abstractmethod
-    def linear_coefficients(self) -> tuple[ArrayLike, ArrayLike] | None:
-        """Return (stiffness N/m, damping N s/m) when the force is linear in contact, else None."""
-
-    @property
-    @abstractmethod
-    def can_pull(self) -> bool:
-        """Whether the force may become negative at separation."""
-
-
-class KelvinVoigt(AbstractContactLaw):
-    """Spring and dashpot in parallel, F = stiffness d + damping d' while d > 0.
-
-    As printed the dashpot may pull the beam back at separation; `tension=False` lets go when the
-    force has fallen to zero. Source: Gandhi and Vyas 2017, eq. 7.
-
-    Raises `ValueError` for a negative stiffness or damping.
-    """
-
-    stiffness: float | Float[Array, "..."] = number_field("stiffness")
-    """Contact stiffness Ks, N/m."""
-    damping: float | Float[Array, "..."] = number_field("damping", default=0.0)
-    """Contact damping Cs, N s/m."""
-    tension: bool = eqx.field(static=True, default=True)
-    """Whether the stop may pull, as the printed law does."""
-
-    def __check_init__(self) -> None:
-        """Refuse concrete values that are not a stop."""
-        check_not_negative("stiffness", self.stiffness, "N/m")
-        check_not_negative("damping", self.damping, "N s/m")
-        check_choice("tension", self.tension, (True, False))
-
-    def force(
-        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
-        """Return stiffness d + damping d', cut off below zero without tension."""
-        force = self.stiffness * penetration + self.damping * rate
-        return force if self.tension else jnp.maximum(force, 0.0)
-
-    def linear_coefficients(self) -> tuple[ArrayLike, ArrayLike]:
-        """Return (stiffness, damping)."""
-        return self.stiffness, self.damping
-
-    @property
-    def can_pull(self) -> bool:
-        """Whether the force may become negative at separation."""
-        return self.tension
 
 
 def smooth_ramp(penetration: Float[Array, "..."], width: ArrayLike) -> Float[Array, "..."]:
@@ -157,24 +89,58 @@ class Stop(eqx.Module):
         """Whether the stop is exactly linear in contact and free of force out of it."""
         width = concrete(self.smoothing)
         exact = self.smoothing is None or (width is not None and bool((width == 0).all()))
-        return exact and self.law.linear_coefficients() is not None
+        return exact and linear_coefficients(self.law) is not None
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether the law has an internal state of its own."""
+        return isinstance(self.law, AbstractMemoryLaw)
 
     def force(
-        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+        self,
+        penetration: Float[Array, "..."],
+        rate: Float[Array, "..."],
+        memory: Float[Array, "..."] | None = None,
     ) -> Float[Array, "..."]:
         """Return the rounded contact force, N, for any penetration (m) and its rate (m/s).
 
-        Positive when it pushes the beam away from the stop. The rate is switched on over the same
-        width as the penetration.
+        Positive when it pushes the body away from the stop. The rate is switched on over the same
+        width as the penetration. Without its `memory` a law that has one was at rest before.
         """
         width = self.width
         engaged = smooth_switch(penetration, width)
-        return self.law.force(smooth_ramp(penetration, width), engaged * rate)
+        return self._law_force(smooth_ramp(penetration, width), engaged * rate, memory)
 
     def exact_force(
-        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+        self,
+        penetration: Float[Array, "..."],
+        rate: Float[Array, "..."],
+        memory: Float[Array, "..."] | None = None,
     ) -> Float[Array, "..."]:
         """Return the contact force with its corner kept, N."""
         touching = penetration > 0
-        force = self.law.force(jnp.maximum(penetration, 0.0), jnp.where(touching, rate, 0.0))
-        return jnp.where(touching, force, 0.0)
+        depth, speed = jnp.maximum(penetration, 0.0), jnp.where(touching, rate, 0.0)
+        return jnp.where(touching, self._law_force(depth, speed, memory), 0.0)
+
+    def _law_force(self, depth, rate, memory):
+        if memory is None or not isinstance(self.law, AbstractMemoryLaw):
+            return self.law.force(depth, rate)
+        return self.law.force_with_memory(depth, rate, memory)
+
+    def memory_rate(
+        self,
+        penetration: Float[Array, "..."],
+        rate: Float[Array, "..."],
+        memory: Float[Array, "..."],
+    ) -> Float[Array, "..."]:
+        """Return how fast the memory of the law changes, for any penetration (m), per s."""
+        assert isinstance(self.law, AbstractMemoryLaw)
+        width = self.width
+        engaged = smooth_switch(penetration, width)
+        return self.law.memory_rate(smooth_ramp(penetration, width), engaged * rate, memory)
+
+    def stored_energy(
+        self, penetration: Float[Array, "..."], memory: Float[Array, "..."] | None = None
+    ) -> Float[Array, "..."]:
+        """Return the energy that the stop could give back, J, its corner kept."""
+        return stored_energy(self.law, jnp.maximum(penetration, 0.0), memory)

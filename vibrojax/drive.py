@@ -6,8 +6,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Complex, Float
 
-from vibrojax._checks import check_choice, check_not_negative, check_position, check_positive
-from vibrojax.contact import number_field
+from vibrojax._checks import (
+    check_choice,
+    check_not_negative,
+    check_position,
+    check_positive,
+    number_field,
+)
 
 
 class AbstractWaveform(eqx.Module):

@@ -15,7 +15,8 @@ from vibrojax._checks import (
     nearest,
 )
 from vibrojax.beam import Cantilever
-from vibrojax.contact import KelvinVoigt, Stop
+from vibrojax.contact import Stop
+from vibrojax.contact_laws import KelvinVoigt
 from vibrojax.drive import AbstractDrive, BaseMotion, NoDrive, PointForce
 from vibrojax.stepping.method import check_settings
 from vibrojax.studies.frequency_sweep import DIRECTIONS

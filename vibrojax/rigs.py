@@ -3,7 +3,8 @@
 from jaxtyping import Array, Float
 
 from vibrojax.beam import Cantilever
-from vibrojax.contact import KelvinVoigt, Stop
+from vibrojax.contact import Stop
+from vibrojax.contact_laws import KelvinVoigt
 from vibrojax.drive import BaseMotion
 from vibrojax.systems.impacting_beam import ImpactingBeam
 

@@ -44,13 +44,6 @@ class RootSpring(vj.AbstractContactLaw):
         depth = penetration - LEAD
         return STIFFNESS / 2 * (depth + jnp.sqrt(depth**2 + self.eps**2))
 
-    def linear_coefficients(self):
-        return None
-
-    @property
-    def can_pull(self):
-        return False
-
 
 class Found(NamedTuple):
     """What the continuation gave."""

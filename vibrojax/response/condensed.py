@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from vibrojax.contact import Stop
+from vibrojax.contact_laws import can_pull, linear_coefficients
 from vibrojax.drive import AbstractDrive
 from vibrojax.stepping.contact_phases import _eigen
 from vibrojax.systems.base import LinearEquations
@@ -137,9 +138,9 @@ def cell_force(
 
     `change` is the depth gained per sample; over a cell the depth is a straight line.
     """
-    law = stop.law.linear_coefficients()
+    law = linear_coefficients(stop.law)
     scale = jnp.sqrt(change**2 + jnp.asarray(stop.width, float) ** 2 + 1e-300)
-    if stop.is_linear and stop.law.can_pull and law is not None:
+    if law is not None and stop.is_linear and can_pull(stop.law):
         stiffness, damping = (jnp.asarray(c) for c in law)
         # Deep in the stop the mean is the force itself, which the polynomial would lose digits of.
         x = jnp.clip(depth / scale, -1.0, 1.0)

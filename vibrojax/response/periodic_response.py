@@ -48,7 +48,8 @@ def periodic_response(
             frequency of the unstopped system, or Hz).
         period: drive periods after which the motion repeats.
         guess: where Newton's method starts: a `PeriodicResponse` or a state (q, q') at drive
-            phase 0, shape (2 coordinates,). By default a march from rest until it settles.
+            phase 0, shape (2 coordinates,), the memories of stops behind it. By
+            default a march from rest until it settles.
         method: `Shooting()` or `HarmonicBalance()`. By default linear stops are solved exactly
             between their contact times (shooting through exact propagators), other stops by
             harmonic balance, other systems by shooting.
@@ -72,7 +73,7 @@ def periodic_response(
     linear = isinstance(equations, LinearEquations)
     if is_ratio and not linear:
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
-    state = _state_of(guess, equations.size)
+    state = _state_of(guess, equations.state_size)
     exact = linear and is_exact(system)
     if isinstance(method, Shooting) or not linear:
         if isinstance(method, HarmonicBalance):
@@ -97,9 +98,9 @@ def _state_of(guess: Any, size: int) -> Array | None:
     if isinstance(guess, PeriodicResponse):
         guess = guess.initial_state
     state = jnp.asarray(guess, float)
-    if state.shape != (2 * size,):
+    if state.shape != (size,):
         raise ValueError(
-            f"guess must be a PeriodicResponse or a state (q, q') of shape ({2 * size},), got an "
+            f"guess must be a PeriodicResponse or a state (q, q') of shape ({size},), got an "
             f"array of shape {state.shape}."
         )
     return state

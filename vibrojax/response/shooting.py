@@ -56,7 +56,8 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
         unit = equations.angular_frequency[0] if is_ratio else 2 * jnp.pi
         return _Place(equations, system.drive, value * unit)
 
-    n = eqx.filter_eval_shape(system.equations).size
+    shapes = eqx.filter_eval_shape(system.equations)
+    n, extent = shapes.size, shapes.state_size
 
     # States are in units of the first one's size, q' over the drive frequency: comparable.
     def passed(numbers, x, periods, keep):
@@ -85,14 +86,15 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
     still = frozen((system, value))
     if state is None:
         start = jax.lax.fori_loop(
-            0, SETTLING // period, lambda _, x: passed(still, x, period, False), jnp.zeros(2 * n)
+            0, SETTLING // period, lambda _, x: passed(still, x, period, False), jnp.zeros(extent)
         )
     else:
         start = frozen(state)
     rate = place_of(*still).angular_frequency
-    size = jnp.max(jnp.abs(start[:n]) + jnp.abs(start[n:]) / rate)
+    size = jnp.max(jnp.abs(start[:n]) + jnp.abs(start[n : 2 * n]) / rate)
     size = jnp.where(size > 0, size, 1.0)
-    unit = size * jnp.concatenate([jnp.ones(n), jnp.full(n, rate)])
+    # Memories of stops are lengths, as q.
+    unit = size * jnp.ones(extent).at[n : 2 * n].set(rate)
 
     def returned(x, numbers):
         return passed(numbers, x * unit, period, False) / unit - x
@@ -113,7 +115,7 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
         place = place_of(*numbers)
         residual = jnp.max(jnp.abs(returned(jax.lax.stop_gradient(x), frozen(numbers))))
         reading = _read(place, states, method.steps_per_period, period)
-        multipliers = jnp.linalg.eigvals(jax.lax.stop_gradient(matrix) + jnp.eye(2 * n))
+        multipliers = jnp.linalg.eigvals(jax.lax.stop_gradient(matrix) + jnp.eye(extent))
         return reading, multipliers.real, multipliers.imag, jax.lax.stop_gradient(residual)
 
     numbers = system, value
@@ -137,9 +139,12 @@ def _read(place: _Place, states: Any, steps_per_period: int, period: int) -> Sam
     step = 2 * jnp.pi / place.angular_frequency / steps_per_period
 
     def at(state):
-        q, v = jnp.split(state, 2)
+        q, v, memory = equations.split(state)
         response, rate = jax.jvp(equations.response, (q,), (v,))
-        return response, rate, equations.contact_forces(q, v), equations.penetration(q) > 0
+        forces = equations.contact_forces(q, v, memory)
+        lagging = jnp.asarray([stop.has_memory for stop in equations.stops], bool)
+        touching = (equations.penetration(q) > 0) & (~lagging | (forces > 0))
+        return response, rate, forces, touching
 
     response, rate, forces, touching = jax.vmap(at)(states)
     top = cubic_maximum(response[:-1], rate[:-1] * step, response[1:], rate[1:] * step)

@@ -64,7 +64,8 @@ def simulate(
     duration: float | int | None = None,
     samples_per_period: int = 128,
     samples: int | None = None,
-    initial_state: tuple[Any, Any] | None = None,
+    sampling_rate: float | int | None = None,
+    initial_state: tuple[Any, ...] | None = None,
     release: ArrayLike | None = None,
     solver: diffrax.AbstractSolver | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
@@ -82,8 +83,11 @@ def simulate(
         duration: how long, s, instead of periods.
         samples_per_period: samples per such period.
         samples: number of intervals over the whole time, instead.
+        sampling_rate: samples per second (Hz), instead: at least twice the highest natural
+            frequency of the model, as an analyser would have to sample it.
         initial_state: modal coordinates q (m) and velocities q' (m/s), each of shape
-            (coordinates,); at rest by default.
+            (coordinates,), and the memories of the stops that have one where they are not at rest;
+            at rest by default.
         release: instead, let the beam go from the static deflection with this tip displacement, m.
         solver: any diffrax solver. By default `ExactContact` where the stops are linear in
             contact, else `ExponentialSplitting`; both take equal steps, others a PID controller.
@@ -99,10 +103,18 @@ def simulate(
     """
     check_choice("gradient", gradient, ("reverse", "forward"))
     _check_waveform(system, frequency, frequency_ratio, waveform)
+    if sampling_rate is not None:
+        check_positive("sampling_rate", sampling_rate, "Hz")
+        if samples is not None:
+            raise ValueError("Give samples or sampling_rate (Hz), not both.")
     run = motion(system, frequency=frequency, frequency_ratio=frequency_ratio, waveform=waveform)
     _, rate, _ = run.waveform.phase(jnp.zeros(()))
     period = 2 * jnp.pi / rate
-    length, per_period, intervals = _grid(period, periods, duration, samples_per_period, samples)
+    if sampling_rate is not None:
+        _check_sampling(sampling_rate, run)
+    length, per_period, intervals = _grid(
+        period, periods, duration, samples_per_period, samples, sampling_rate
+    )
     times = length * jnp.linspace(0.0, 1.0, intervals + 1)
     state = _initial_state(system, run, initial_state, release)
     method = solver if isinstance(solver, AbstractMethod) else None
@@ -128,7 +140,7 @@ def simulate(
     )
 
 
-def _grid(period, periods, duration, samples_per_period, samples):
+def _grid(period, periods, duration, samples_per_period, samples, sampling_rate):
     """Return the length of the run (s), samples per period and the number of intervals."""
     if (periods is None) == (duration is None):
         raise ValueError("Give periods or duration (s), one of the two.")
@@ -137,17 +149,36 @@ def _grid(period, periods, duration, samples_per_period, samples):
         check_count("samples", samples)
     if periods is not None:
         check_positive("periods", periods, "(drive periods)")
-        intervals = samples or max(1, round(periods * samples_per_period))
-        return periods * period, intervals / periods, intervals
-    check_positive("duration", duration, "s")
-    count = concrete(duration / period)
-    if count is None:
+        length, count = periods * period, periods
+    else:
+        check_positive("duration", duration, "s")
+        length, count = jnp.asarray(duration, float), concrete(duration / period)
+    if sampling_rate is not None:
+        seconds = concrete(length)
+        samples = None if seconds is None else max(1, round(float(seconds) * sampling_rate))
+    if count is None or (samples is None and sampling_rate is not None):
         raise ValueError(
-            "How many periods the duration has hangs on values that JAX is tracing: give periods "
-            "in place of duration."
+            "How many samples the run has hangs on values that JAX is tracing: give periods, and "
+            "samples_per_period or samples, in place of duration or sampling_rate."
         )
-    intervals = samples or max(1, math.ceil(float(count) * samples_per_period))
-    return jnp.asarray(duration, float), intervals / float(count), intervals
+    if samples is None:
+        # A duration is covered to its end; a number of periods has its samples exactly.
+        samples = count * samples_per_period
+        samples = math.ceil(samples) if periods is None else max(1, round(samples))
+    return length, samples / float(count), samples
+
+
+def _check_sampling(sampling_rate, run):
+    """Refuse a sampling rate (Hz) that cannot show the highest mode."""
+    if not isinstance(run.equations, LinearEquations):
+        return
+    highest = concrete(jnp.max(run.equations.angular_frequency) / (2 * jnp.pi))
+    if highest is not None and sampling_rate < 2 * highest:
+        raise ValueError(
+            f"sampling_rate must be at least twice the highest natural frequency of the model, "
+            f"2 x {float(highest):.6g} Hz, got {sampling_rate!r} Hz. Sample faster, or keep fewer "
+            "modes."
+        )
 
 
 def _initial_state(system, run, initial_state, release):
@@ -163,16 +194,20 @@ def _initial_state(system, run, initial_state, release):
                 f"release = {release!r} m starts {depth.max():.3g} m inside a stop. Release the "
                 "beam from the other side, or from less."
             )
-        return jnp.concatenate([q, jnp.zeros_like(q)])
-    n = run.equations.size
+        return jnp.concatenate([q, jnp.zeros(run.equations.state_size - q.size)])
+    n, memories = run.equations.size, run.equations.memory_size
     if initial_state is None:
-        return jnp.zeros(2 * n)
-    q, v = (jnp.asarray(x, float) for x in initial_state)
-    if q.shape != (n,) or v.shape != (n,):
+        return jnp.zeros(2 * n + memories)
+    parts = [jnp.asarray(x, float) for x in initial_state]
+    if len(parts) == 2:
+        parts.append(jnp.zeros(memories))
+    shapes = [part.shape for part in parts]
+    if shapes != [(n,), (n,), (memories,)]:
+        behind = f", and of the memories of the stops, shape ({memories},)" if memories else ""
         raise ValueError(
-            f"initial_state must be (q, q') of shape ({n},) each, got {q.shape} and {v.shape}."
+            f"initial_state must be (q, q') of shape ({n},) each{behind}, got shapes {shapes}."
         )
-    return jnp.concatenate([q, v])
+    return jnp.concatenate(parts)
 
 
 def _static_size(system, run):

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
+from vibrojax.contact_laws import can_pull, linear_coefficients
 from vibrojax.drive import AbstractDrive
 from vibrojax.response.contact_times import Tables, tables_of
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
@@ -81,11 +82,11 @@ def check_single_stop(equations: AbstractEquations) -> LinearEquations:
         )
     (stop,) = equations.stops
     name = type(stop.law).__name__
-    if stop.law.linear_coefficients() is None:
+    if linear_coefficients(stop.law) is None:
         raise ValueError(
             f"Single-contact motions need a contact law that is linear (KelvinVoigt), got {name}."
         )
-    if not stop.law.can_pull:
+    if not can_pull(stop.law):
         raise ValueError(
             f"Single-contact motions need a stop that is left at depth zero, got {name} with "
             "tension=False. Give it tension=True, or use frequency_sweep."

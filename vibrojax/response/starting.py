@@ -72,5 +72,5 @@ def sampled_motion(
     n = equations.size
     gaps = jnp.stack([jnp.asarray(stop.gap) for stop in equations.stops])
     depth = states[:, :n] @ equations.stop_map.T - gaps
-    change = states[:, n:] @ equations.stop_map.T * interval
+    change = states[:, n : 2 * n] @ equations.stop_map.T * interval
     return depth.T, change.T, states

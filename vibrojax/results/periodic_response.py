@@ -126,8 +126,7 @@ class PeriodicResponse(eqx.Module):
         """Return the motion over its period as a time history."""
         from vibrojax.response.simulate import simulate
 
-        n = self.initial_state.shape[-1] // 2
-        state = self.initial_state[:n], self.initial_state[n:]
+        state = eqx.filter_eval_shape(self.system.equations).split(self.initial_state)
         return simulate(
             self.system,
             frequency=self.frequency,

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from vibrojax.contact_laws import can_pull, linear_coefficients
 from vibrojax.systems.base import LinearEquations
 
 MAX_STOPS = 4
@@ -98,7 +99,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     Raises `ValueError` when a stop is not linear in contact or there are more than `MAX_STOPS`.
     """
     stops = equations.stops
-    if any(stop.law.linear_coefficients() is None for stop in stops):
+    if any(linear_coefficients(stop.law) is None for stop in stops):
         raise ValueError(
             "ExactContact needs contact laws that are linear (KelvinVoigt). "
             "Use ExponentialSplitting for other laws."
@@ -110,7 +111,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         )
     n = equations.angular_frequency.shape[0]
     dtype = equations.angular_frequency.dtype
-    laws = [stop.law.linear_coefficients() or (0.0, 0.0) for stop in stops]
+    laws = [linear_coefficients(stop.law) or (0.0, 0.0) for stop in stops]
 
     def column(values):
         return jnp.stack([jnp.asarray(v, dtype) for v in values]) if values else jnp.zeros((0,))
@@ -203,7 +204,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         stiffness=stiffness,
         damping=damping,
         weight=equations.energy_weight,
-        can_pull=tuple(stop.law.can_pull for stop in stops),
+        can_pull=tuple(can_pull(stop.law) for stop in stops),
     )
 
 

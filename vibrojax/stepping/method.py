@@ -49,13 +49,18 @@ class AbstractMarch(eqx.Module):
 
 
 class StateInterpolation(diffrax.AbstractLocalInterpolation):
-    """Between two steps: the cubic through (q, q') at both ends, and its derivative."""
+    """Between two steps: the cubic through (q, q') at both ends, and its derivative.
+
+    Memories of stops, behind them in the state, run straight.
+    """
 
     # The base class has them as class variables, as all of diffrax's interpolations override.
     t0: Float[Array, ""]  # pyright: ignore
     t1: Float[Array, ""]  # pyright: ignore
     y0: Float[Array, " states"]
     y1: Float[Array, " states"]
+    memory0: Float[Array, " memories"]
+    memory1: Float[Array, " memories"]
 
     def evaluate(
         self,
@@ -74,7 +79,7 @@ class StateInterpolation(diffrax.AbstractLocalInterpolation):
         curve = rise - h * v0 - bend
         q = q0 + u * (h * v0 + u * (curve + u * bend))
         v = v0 + u * (2 * curve + 3 * u * bend) / safe
-        return jnp.concatenate([q, v])
+        return jnp.concatenate([q, v, self.memory0 + u * (self.memory1 - self.memory0)])
 
 
 class AbstractMethod(diffrax.AbstractSolver):
@@ -129,7 +134,9 @@ class AbstractMethod(diffrax.AbstractSolver):
             diffrax.RESULTS.successful,
             diffrax.RESULTS.nonlinear_divergence,  # pyright: ignore[reportArgumentType]
         )
-        return state, None, {"y0": y0, "y1": state}, solver_state, result
+        n = 2 * args.equations.size
+        ends = {"y0": y0[:n], "y1": state[:n], "memory0": y0[n:], "memory1": state[n:]}
+        return state, None, ends, solver_state, result
 
 
 def _motion_of(args: object) -> Motion:

@@ -19,7 +19,13 @@ from vibrojax.contact import Stop
 from vibrojax.stepping.contact_phases import spread
 from vibrojax.stepping.elementary import computed_once, cubic_maximum
 from vibrojax.stepping.measures import Measures, Segment, no_measures
-from vibrojax.systems.base import LinearEquations, Motion
+from vibrojax.systems.base import (
+    LinearEquations,
+    Motion,
+    contact_slope,
+    memory_rates,
+    stop_forces,
+)
 
 lax = jax.lax
 
@@ -73,7 +79,7 @@ def steady(
     amplitude: Complex[Array, "*#lanes"],
     angular_frequency: Float[Array, "*#lanes"],
 ) -> Complex[Array, "states *#lanes"]:
-    """Complex amplitude of (q, q') in the steady response without stops.
+    """Complex amplitude of the state in the steady response without stops.
 
     Raises `ValueError` when the damping couples the modes.
     """
@@ -83,7 +89,8 @@ def steady(
     zeta = spread(equations.damping_ratio, 1, lanes)
     dynamic = w**2 - omega**2 + 2j * zeta * w * omega
     q = spread(equations.input_map, 1, lanes) * amplitude / dynamic
-    return jnp.concatenate([q, 1j * omega * q])
+    still = jnp.zeros((equations.memory_size, *q.shape[1:]), q.dtype)
+    return jnp.concatenate([q, 1j * omega * q, still])
 
 
 class Contact(NamedTuple):
@@ -115,12 +122,15 @@ def _apply(matrix, vector):
 
 
 def forces(
-    contact: Contact, depth: Float[Array, "stops *#lanes"], rate: Float[Array, "stops *#lanes"]
+    contact: Contact,
+    depth: Float[Array, "stops *#lanes"],
+    rate: Float[Array, "stops *#lanes"],
+    memory: Float[Array, "memories *#lanes"],
 ) -> tuple[Float[Array, "stops *#lanes"], ...]:
     """Return the force of each stop, its slope in depth and its slope in rate."""
 
     def all_stops(depth, rate):
-        return jnp.stack([s.force(depth[i], rate[i]) for i, s in enumerate(contact.stops)])
+        return stop_forces(contact.stops, depth, rate, memory)
 
     one, zero = jnp.ones_like(depth), jnp.zeros_like(depth)
     force, stiffness = jax.jvp(all_stops, (depth, rate), (one, zero))
@@ -132,14 +142,16 @@ def kick(
     contact: Contact,
     depth: Float[Array, "stops *#lanes"],
     rate: Float[Array, "stops *#lanes"],
+    memory: Float[Array, "memories *#lanes"],
     step: Float[Array, "*#lanes"],
-) -> tuple[Float[Array, "stops *#lanes"], Float[Array, "stops *#lanes"]]:
-    """Impulse of each stop in a step, and its force.
+) -> tuple[Float[Array, "stops *#lanes"], Float[Array, "memories *#lanes"]]:
+    """Impulse of each stop in a step, and the memories after it.
 
-    The rate is taken in the middle of the kick, which for a linear dashpot is a linear equation:
-    stable for any damping.
+    Rate and memories are taken in the middle of the kick. For a linear dashpot, and for a memory
+    that relaxes linearly, that is a linear equation: stable for any damping or relaxation time.
     """
-    force, stiffness, damping = forces(contact, depth, rate)
+    middle_memory = _middle_memory(contact.stops, depth, rate, memory, step)
+    force, stiffness, damping = forces(contact, depth, rate, middle_memory)
     if len(contact.stops) == 1:
         middle = force / (1 + step / 2 * damping * contact.mobility[0])
     else:
@@ -152,23 +164,25 @@ def kick(
             middle = (force - lag * (others - own * middle)) / (1 + lag * own)
     correction = stiffness * jnp.einsum("st...,t...->s...", contact.mobility, middle)
     corrected = middle - step**2 / 12 * correction
-    return step * corrected, force
+    return step * corrected, 2 * middle_memory - memory
+
+
+def _middle_memory(stops, depth, rate, memory, step):
+    """Memories half a step on, the depths held: one Newton step of the implicit midpoint rule."""
+    if not memory.shape[0]:
+        return memory
+    speed, slope = jax.jvp(
+        lambda m: memory_rates(stops, depth, rate, m), (memory,), (jnp.ones_like(memory),)
+    )
+    return memory + step / 2 * speed / (1 - step / 2 * slope)
 
 
 def contact_rate(equations: LinearEquations) -> Float[Array, "*#lanes"]:
-    """Angular frequency of the contact points on their stops, rad/s: sets the step.
-
-    Each stop counts with its slope at a tenth of the gap (or ten rounded widths).
-    """
+    """Angular frequency of the contact points on their stops, rad/s: sets the step."""
     rates = [jnp.zeros_like(equations.angular_frequency[0])]
     for i, stop in enumerate(equations.stops):
-        depth = jnp.maximum(0.1 * jnp.asarray(stop.gap), 10 * jnp.asarray(stop.width))
-        depth = jnp.maximum(depth, 1e-9)
-        _, slope = jax.jvp(
-            lambda d, s=stop: s.force(d, jnp.zeros_like(d)), (depth,), (jnp.ones_like(depth),)
-        )
         mobility = jnp.sum(equations.stop_map[i] * equations.force_map[:, i], axis=0)
-        rates.append(jnp.sqrt(jnp.maximum(slope * mobility, 0.0)))
+        rates.append(jnp.sqrt(jnp.maximum(contact_slope(stop) * mobility, 0.0)))
     return jnp.max(jnp.stack(jnp.broadcast_arrays(*rates)), axis=0)
 
 
@@ -207,19 +221,22 @@ def step_from(
         return forced.real * jnp.sin(angle) + forced.imag * jnp.cos(angle)
 
     half = drift(equations.angular_frequency, equations.damping_ratio, duration / 2)
-    q, v = half(*jnp.split(state - at(phase), 2))
+    q, v, memory = equations.split(state - at(phase))
+    q, v = half(q, v)
     if equations.stops:
         contact = contact_of(equations, 0)
-        forced_q, forced_v = jnp.split(at(phase_middle), 2)
+        forced_q, forced_v, _ = equations.split(at(phase_middle))
         depth = contact.towards @ (q + forced_q) - contact.gap
-        impulse, _ = kick(contact, depth, contact.towards @ (v + forced_v), duration)
+        rate = contact.towards @ (v + forced_v)
+        impulse, memory = kick(contact, depth, rate, memory, duration)
         v = v - contact.push @ impulse
-    return jnp.concatenate(half(q, v)) + at(phase_end)
+    return jnp.concatenate([*half(q, v), memory]) + at(phase_end)
 
 
 class _Carry(NamedTuple):
     q: Array
     v: Array
+    memory: Array
     wave: Array
     measures: Measures | None
 
@@ -236,7 +253,7 @@ def march(
 ) -> tuple[Float[Array, "states *#lanes"], Int[Array, "*#lanes"], Measures | None]:
     """March every lane over its number of drive periods in `steps` equal steps a period.
 
-    The drifts of neighbouring steps are one. Returns the states (q, q'), steps, and the measures.
+    The drifts of neighbouring steps are one. Returns the states, steps, and the measures.
     """
     lanes = angular_frequency.ndim
     contact = contact_of(equations, lanes)
@@ -252,6 +269,8 @@ def march(
     tip_forced = jnp.sum(tip * forced[:modes], axis=0)
     turn = angular_frequency * h
     spin = jnp.cos(turn), jnp.sin(turn)
+    lagging = np.array([stop.has_memory for stop in contact.stops], bool)
+    lagging = lagging.reshape((-1,) + (1,) * lanes)
 
     def real(value, wave):
         return value.real * wave[0] + value.imag * wave[1]
@@ -264,15 +283,19 @@ def march(
         y = jnp.sum(tip * q, axis=0) + real(tip_forced, wave)
         return y, jnp.sum(tip * v, axis=0) + real(1j * angular_frequency * tip_forced, wave)
 
+    def touching(depth, force):
+        # The surface of a stop with memory may not be back yet where the body comes again.
+        return (depth > 0) & (~lagging | (force > 0))
+
     def one(i, carry, live):
         # The carry stands in the middle of step i, just before its kick.
-        q, v, wave, measures = carry
+        q, v, memory, wave, measures = carry
         depth, rate = depth_of(q, v, wave)
         if contact.stops:
-            impulse, _ = computed_once(i, lambda: kick(contact, depth, rate, h))
+            impulse, memory1 = computed_once(i, lambda: kick(contact, depth, rate, memory, h))
             kicked = v - _apply(contact.push, impulse)
         else:
-            kicked = v
+            kicked, memory1 = v, memory
         q1, v1 = whole(q, kicked)
         wave1 = jnp.stack(
             [wave[0] * spin[0] + wave[1] * spin[1], wave[1] * spin[0] - wave[0] * spin[1]]
@@ -283,32 +306,34 @@ def march(
             force, touches = jnp.zeros_like(y0), jnp.zeros(live.shape, bool)
             if contact.stops:
                 depth1, rate1 = depth_of(q1, v1, wave1)
-                f0, k0, _ = forces(contact, depth, rate)
-                f1, k1, _ = forces(contact, depth1, rate1)
+                f0, k0, _ = forces(contact, depth, rate, memory)
+                f1, k1, _ = forces(contact, depth1, rate1, memory1)
                 peak = cubic_maximum(f0, k0 * rate * h, f1, k1 * rate1 * h)
                 force = jnp.max(peak, axis=0)
-                touches = jnp.any(depth > 0, axis=0)
-                entered = jnp.sum((depth <= 0) & (depth1 > 0), axis=0, dtype=jnp.int32)
+                here, there = touching(depth, f0), touching(depth1, f1)
+                touches = jnp.any(here, axis=0)
+                entered = jnp.sum(~here & there, axis=0, dtype=jnp.int32)
             angle = (i + 0.5) * turn
             part = Segment(h, angle, angular_frequency, (y0, y1), (s0, s1), force, touches, entered)
             measures = measures.add(part, live)
-        return _Carry(q1, v1, wave1, measures)
+        return _Carry(q1, v1, memory1, wave1, measures)
 
     def period(carry):
         x, done, measures = carry
         live = done < periods
         zero, unit = jnp.zeros_like(h), jnp.ones_like(h)
-        q, v = half(*jnp.split(x - real(forced, (zero, unit)), 2))
+        q, v, memory = equations.split(x - real(forced, (zero, unit)))
+        q, v = half(q, v)
         start = jnp.stack([jnp.sin(turn / 2), jnp.cos(turn / 2)])
-        begin = _Carry(q, v, start, measures)
+        begin = _Carry(q, v, memory, start, measures)
         end = lax.fori_loop(0, steps, lambda i, c: one(i, c, live), begin)
-        x1 = jnp.concatenate(back(end.q, end.v)) + real(forced, (zero, unit))
+        x1 = jnp.concatenate([*back(end.q, end.v), end.memory]) + real(forced, (zero, unit))
         return jnp.where(live, x1, x), done + live, end.measures
 
     zero = jnp.zeros(angular_frequency.shape, jnp.int32)
     first = no_measures(jnp.zeros_like(angular_frequency)) if observe else None
     target = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), zero.shape)
     periods = target
-    start = (jnp.broadcast_to(state, (2 * modes, *zero.shape)), zero, first)
+    start = (jnp.broadcast_to(state, (equations.state_size, *zero.shape)), zero, first)
     end, done, measures = lax.while_loop(lambda c: jnp.any(c[1] < periods), period, start)
     return end, done * steps, measures

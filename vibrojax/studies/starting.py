@@ -74,8 +74,8 @@ def settled_guess(
     Without a `state` (2 coordinates) the motions are marched from rest until they settle.
     """
     if state is None:
-        size = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take_first(paths)).equations.size
-        rest = jnp.zeros((2 * size, len(values)))
+        place = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take_first(paths))
+        rest = jnp.zeros((place.equations.state_size, len(values)))
         came = settled(paths, values, rest, exact, max(period, 4))
         found = (np.asarray(came.period) > 0) & (period % np.maximum(came.period, 1) == 0)
         states = np.asarray(came.state).T

@@ -6,6 +6,7 @@ with C and K constant. A *system* holds the numbers a person gives; its *equatio
 from them once, before any stepping, so that nothing derived can go stale.
 """
 
+import dataclasses
 from abc import abstractmethod
 from typing import Any, TypeVar
 
@@ -34,6 +35,27 @@ class AbstractEquations(eqx.Module):
     @abstractmethod
     def size(self) -> int:
         """How many coordinates there are."""
+
+    @property
+    def memory_size(self) -> int:
+        """How many stops have an internal state (`AbstractMemoryLaw`)."""
+        return sum(stop.has_memory for stop in self.stops)
+
+    @property
+    def state_size(self) -> int:
+        """Length of a state (q, q', memories of the stops)."""
+        return 2 * self.size + self.memory_size
+
+    def split(
+        self, state: Float[Array, "states *lanes"]
+    ) -> tuple[
+        Float[Array, "coordinates *lanes"],
+        Float[Array, "coordinates *lanes"],
+        Float[Array, "memories *lanes"],
+    ]:
+        """Return q, q' and the memories of the stops."""
+        n = self.size
+        return state[:n], state[n : 2 * n], state[2 * n :]
 
     @abstractmethod
     def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
@@ -64,22 +86,38 @@ class AbstractEquations(eqx.Module):
         """Return the displacement that a frequency response reports, m (the tip, say)."""
 
     def contact_forces(
-        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
+        self,
+        q: Float[Array, " coordinates"],
+        rate: Float[Array, " coordinates"],
+        memory: Float[Array, " memories"] | None = None,
     ) -> Float[Array, " stops"]:
-        """Return the rounded force of each stop, N, positive when it pushes the body off."""
+        """Return the rounded force of each stop, N, positive when it pushes the body off.
+
+        Without `memory`, stops that have one were at rest before.
+        """
         depth, depth_rate = jax.jvp(self.penetration, (q,), (rate,))
-        forces = [stop.force(depth[i], depth_rate[i]) for i, stop in enumerate(self.stops)]
-        return jnp.stack(forces) if forces else jnp.zeros((0,), q.dtype)
+        return stop_forces(self.stops, depth, depth_rate, memory)
+
+    def memory_rates(
+        self,
+        q: Float[Array, " coordinates"],
+        rate: Float[Array, " coordinates"],
+        memory: Float[Array, " memories"],
+    ) -> Float[Array, " memories"]:
+        """Return how fast the memories of the stops change, per s."""
+        depth, depth_rate = jax.jvp(self.penetration, (q,), (rate,))
+        return memory_rates(self.stops, depth, depth_rate, memory)
 
     def acceleration(
         self,
         q: Float[Array, " coordinates"],
         rate: Float[Array, " coordinates"],
         drive_input: Float[ArrayLike, ""],
+        memory: Float[Array, " memories"] | None = None,
     ) -> Float[Array, " coordinates"]:
         """Solve the equation of motion for q''."""
         _, pull_back = jax.vjp(self.penetration, q)
-        (contact,) = pull_back(-self.contact_forces(q, rate))
+        (contact,) = pull_back(-self.contact_forces(q, rate, memory))
         total = (
             self.smooth_force(q, rate)
             - self.linear_force(q, rate)
@@ -161,20 +199,75 @@ class LinearEquations(AbstractEquations):
 
     @property
     def energy_weight(self) -> Float[Array, "states *lanes"]:
-        """Weights of (q, q'): the norm of a weighted state is the root of twice its energy."""
+        """Weights of a state: its weighted norm is the root of twice its energy.
+
+        A memory counts with the stiffness of its stop when touched first.
+        """
         root_mass = jnp.sqrt(self.modal_mass)
-        return jnp.concatenate([root_mass * self.angular_frequency, root_mass])
+        rows = [root_mass * self.angular_frequency, root_mass]
+        for stop in self.stops:
+            if stop.has_memory:
+                root = jnp.sqrt(jnp.maximum(contact_slope(stop), 0.0))
+                rows.append(jnp.broadcast_to(root, root_mass.shape[1:])[None])
+        return jnp.concatenate(rows)
 
     def acceleration(
         self,
         q: Float[Array, " coordinates"],
         rate: Float[Array, " coordinates"],
         drive_input: Float[ArrayLike, ""],
+        memory: Float[Array, " memories"] | None = None,
     ) -> Float[Array, " coordinates"]:
         """Solve the equation of motion for q'', without forming the diagonal mass matrix."""
         w = self.angular_frequency
         free = self.input_map * drive_input - self._damping(rate) - w**2 * q
-        return free - self.force_map @ self.contact_forces(q, rate)
+        return free - self.force_map @ self.contact_forces(q, rate, memory)
+
+
+def contact_slope(stop: Stop) -> Float[Array, "*lanes"]:
+    """Stiffness of a stop not touched before, N/m: at a tenth of its gap, beyond the rounding."""
+    depth = jnp.maximum(0.1 * jnp.asarray(stop.gap), 10 * jnp.asarray(stop.width))
+    depth = jnp.maximum(depth, 1e-9)
+    _, slope = jax.jvp(
+        lambda d: stop.force(d, jnp.zeros_like(d)), (depth,), (jnp.ones_like(depth),)
+    )
+    return slope
+
+
+def stop_forces(
+    stops: tuple[Stop, ...],
+    depth: Float[Array, "stops *lanes"],
+    rate: Float[Array, "stops *lanes"],
+    memory: Float[Array, "memories *lanes"] | None = None,
+) -> Float[Array, "stops *lanes"]:
+    """Return the rounded force of each stop, N, from depths (m), their rates and memories."""
+    kept = _by_stop(stops, memory)
+    forces = [s.force(depth[i], rate[i], kept[i]) for i, s in enumerate(stops)]
+    return jnp.stack(forces) if forces else jnp.zeros_like(depth)
+
+
+def memory_rates(
+    stops: tuple[Stop, ...],
+    depth: Float[Array, "stops *lanes"],
+    rate: Float[Array, "stops *lanes"],
+    memory: Float[Array, "memories *lanes"],
+) -> Float[Array, "memories *lanes"]:
+    """Return how fast the memories of the stops change, per s."""
+    kept = _by_stop(stops, memory)
+    rates = [
+        stop.memory_rate(depth[i], rate[i], held)
+        for i, (stop, held) in enumerate(zip(stops, kept, strict=True))
+        if held is not None
+    ]
+    return jnp.stack(rates) if rates else jnp.zeros_like(memory)
+
+
+def _by_stop(stops: tuple[Stop, ...], memory: Array | None) -> list[Array | None]:
+    """Memory of every stop, None for those without."""
+    if memory is None:
+        return [None] * len(stops)
+    held = iter(range(memory.shape[0]))
+    return [memory[next(held)] if stop.has_memory else None for stop in stops]
 
 
 class AbstractSystem(eqx.Module):
@@ -228,10 +321,22 @@ class Motion(eqx.Module):
     prepared: Any = None
     """What a solver computes once for these equations (`ContactPhases`), or None."""
 
+    def sharp_equations(self) -> AbstractEquations:
+        """Return the equations with the corner of the contact force kept, where it can be."""
+        equations = self.equations
+        if self.prepared is None or not isinstance(equations, LinearEquations):
+            return equations
+        stops = tuple(dataclasses.replace(stop, smoothing=0.0) for stop in equations.stops)
+        return dataclasses.replace(equations, stops=stops)
+
     def vector_field(
-        self, time: Float[ArrayLike, ""], state: Float[Array, " two_coordinates"], args: object
-    ) -> Float[Array, " two_coordinates"]:
-        """Return d(q, q')/dt: the vector field of any diffrax solver."""
-        q, rate = jnp.split(state, 2)
+        self, time: Float[ArrayLike, ""], state: Float[Array, " states"], args: object
+    ) -> Float[Array, " states"]:
+        """Return d(q, q', memories)/dt: the vector field of any diffrax solver."""
+        equations = self.equations
+        q, rate, memory = equations.split(state)
         drive_input = self.drive.input(self.waveform, jnp.asarray(time, state.dtype))
-        return jnp.concatenate([rate, self.equations.acceleration(q, rate, drive_input)])
+        if not equations.memory_size:  # as equations of one's own may know of no memory
+            return jnp.concatenate([rate, equations.acceleration(q, rate, drive_input)])
+        acceleration = equations.acceleration(q, rate, drive_input, memory)
+        return jnp.concatenate([rate, acceleration, equations.memory_rates(q, rate, memory)])

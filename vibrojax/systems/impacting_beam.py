@@ -4,9 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._checks import check_choice, check_count, check_not_negative
+from vibrojax._checks import check_choice, check_count, check_not_negative, number_field
 from vibrojax.beam import Cantilever
-from vibrojax.contact import Stop, number_field
+from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive, NoDrive, PointForce
 from vibrojax.modes import FORMULATIONS, Modes, modes
 from vibrojax.systems.base import (

@@ -4,6 +4,7 @@ import numpy as np
 from scipy import stats
 
 from vibrojax.beam import Cantilever
+from vibrojax.contact_laws import linear_coefficients
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.studies.identification.trial_rigs import Curve
 from vibrojax.systems.base import AbstractSystem
@@ -95,7 +96,7 @@ def modes_left_out(system: AbstractSystem, deviation: float) -> list[str]:
     )
     sentences = []
     for stop, flexibility in zip(system.stops, kept.sum(axis=1), strict=True):
-        law = stop.law.linear_coefficients()
+        law = linear_coefficients(stop.law)
         if law is None:
             continue
         stiffness = float(np.asarray(law[0]))
