@@ -30,11 +30,14 @@ def _values(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
 class FiniteElementBeam:
     """(u phi'')'' = beta^4 u phi with u = 1 - taper s, clamped at 0, a mass at 1.
 
+    `point_masses` are further masses at nodes, (mass, place s) each, in the unit of `mass_ratio`.
     `beta` is (modes,); `shape(s)` is (points, modes), normalised to
-    int u phi^2 + mass_ratio phi(1)^2 = 1 and phi(1) > 0.
+    int u phi^2 + mass_ratio phi(1)^2 + sum of mass phi^2 = 1 and phi(1) > 0.
     """
 
-    def __init__(self, taper: float, mass_ratio: float, num_modes: int, elements: int):
+    def __init__(
+        self, taper: float, mass_ratio: float, num_modes: int, elements: int, point_masses=()
+    ):
         self.elements, h = elements, 1 / elements
         basis = _quintic()
         node, weight = np.polynomial.legendre.leggauss(8)
@@ -49,6 +52,10 @@ class FiniteElementBeam:
             stiffness[place, place] += (curvature * u) @ curvature.T
             mass[place, place] += (value * u) @ value.T
         mass[-3, -3] += mass_ratio
+        for extra, place in point_masses:
+            node = 3 * round(place * elements)
+            assert np.isclose(node, 3 * place * elements)
+            mass[node, node] += extra
         # Freedoms are phi, h phi', h^2 phi'': equal units keep the matrices well scaled.
         lower = np.linalg.cholesky(stiffness[2:, 2:])
         half = np.linalg.solve(lower, mass[2:, 2:])

@@ -72,15 +72,58 @@ def test_example_has_every_part():
 
 
 def test_example_names_every_key():
-    from vibrojax.rig_file import _KEYS
+    from vibrojax.rig_file_keys import KEYS, LAWS
 
     text = EXAMPLE.read_text()
-    for table, keys in _KEYS.items():
-        assert f"[{table}]" in text
-        for name in keys:
+    laws = {f"law {name}": keys for name, (_, keys) in LAWS.items()}
+    for table, keys in (KEYS | laws).items():
+        assert f"[{table}]" in text or table.startswith("law ")
+        for name in set(keys) - {"point_masses"}:
             assert any(
                 line.removeprefix("# ").startswith(f"{name} = ") for line in text.split("\n")
             ), name
+
+
+@pytest.mark.parametrize(
+    ("numbers", "law"),
+    [
+        ('law = "hertz"\nstiffness = 3e5', vj.Hertz(3e5)),
+        ('law = "hertz"\nstiffness = 3e5\nexponent = 2', vj.Hertz(3e5, 2.0)),
+        (
+            'law = "hunt_crossley"\nstiffness = 3e5\ndissipation = 0.2',
+            vj.HuntCrossley(3e5, 0.2),
+        ),
+        (
+            'law = "standard_linear_solid"\nstiffness = 3e3\nmaxwell_stiffness = 1e3\n'
+            "relaxation_time = 1e-3",
+            vj.StandardLinearSolid(3e3, 1e3, 1e-3),
+        ),
+    ],
+)
+def test_contact_laws_by_name(tmp_path, numbers, law):
+    start = DEFAULT.index("[[stop]]")
+    end = DEFAULT.index("[drive]")
+    stop = f"[[stop]]\nposition = 0.5\ngap = 1e-3\n{numbers}\n"
+    system, _ = vj.read_rig(write(tmp_path, DEFAULT[:start] + stop + DEFAULT[end:]))
+    assert same(system.stops[0].law, law)
+    wrong = stop + "damping = 1.0\n"
+    with pytest.raises(ValueError, match=r"unknown key 'damping' in \[\[stop\]\]"):
+        vj.read_rig(write(tmp_path, DEFAULT[:start] + wrong + DEFAULT[end:]))
+    unknown = stop.replace(numbers, 'law = "rubber"\nstiffness = 1.0')
+    with pytest.raises(ValueError, match=r"\[\[stop\]\] law must be one of 'kelvin_voigt'"):
+        vj.read_rig(write(tmp_path, DEFAULT[:start] + unknown + DEFAULT[end:]))
+
+
+def test_point_masses(tmp_path):
+    masses = "[[beam.point_masses]]\nmass = 2e-3\n[[beam.point_masses]]\nmass = 0\nposition = 0.2\n"
+    system, _ = vj.read_rig(write(tmp_path, DEFAULT.replace("[[stop]]", masses + "[[stop]]", 1)))
+    first, second = system.beam.point_masses
+    assert (first.mass, first.position, second.position) == (2e-3, 1.0, 0.2)
+    wrong = masses.replace("2e-3", "-1")
+    with pytest.raises(ValueError, match=r"\[\[beam.point_masses\]\] mass must be at least 0"):
+        vj.read_rig(write(tmp_path, DEFAULT.replace("[[stop]]", wrong + "[[stop]]", 1)))
+    with pytest.raises(ValueError, match=r"point_masses must be one or more tables"):
+        vj.read_rig(write(tmp_path, DEFAULT.replace("[beam]", "[beam]\npoint_masses = 3", 1)))
 
 
 def test_point_force_and_no_stop(tmp_path):

@@ -4,9 +4,11 @@ The differential transform method of Gandhi and Vyas 2017 (sec. 2.2, eqs. 14, 16
 in powers of s about the root. In float64 that loses about e^beta and converges as taper^k. Here
 the beam is cut into segments with one expansion each; the two solutions that satisfy the clamp
 are carried from segment to segment and made orthonormal at every joint (Godunov 1961, Conte
-1966), so no digits are lost to growth. Only the numbers of segments and of terms are static.
+1966), so no digits are lost to growth. Every point mass sits on a joint, where u phi''' jumps by
+beta^4 mass phi, so it is exact too. Only the numbers of segments, terms and masses are static.
 
-Everything is dimensionless: s = x/L, u = 1 - taper s, beta^4 = rho A0 L^4 omega^2 / (E I0).
+Everything is dimensionless: s = x/L, u = 1 - taper s, beta^4 = rho A0 L^4 omega^2 / (E I0), and
+masses are in units of rho A0 L. "Masses" have one entry per knot, that of the tip the last.
 """
 
 from functools import lru_cache
@@ -20,6 +22,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 _TERMS = 40  # 1e-17 of the sum, or less, for taper up to 0.99 and every mode
+_SHORT = 1e-7  # of a segment: dividing by its cube would cost the derivatives too many digits
 _QUADRATURE = np.polynomial.legendre.leggauss(20)
 
 # Row d takes the coefficients of a series in t to its d-th derivative at t = 1.
@@ -37,7 +40,8 @@ class Shapes(NamedTuple):
     coefficients: Float[Array, "modes segments terms"]
     area_integral_of_square: Float[Array, " modes"]
     area_integral: Float[Array, " modes"]
-    tip: Float[Array, " modes"]
+    masses: Float[Array, " knots"]
+    at_knots: Float[Array, "modes knots"]
 
 
 def num_segments(num_modes: int) -> int:
@@ -45,7 +49,7 @@ def num_segments(num_modes: int) -> int:
     return max(10, 2 * num_modes)
 
 
-def _knots(taper: Float[Array, ""], segments: int) -> Float[Array, " knots"]:
+def _joints(taper: Float[Array, ""], segments: int) -> Float[Array, " joints"]:
     """Joints of the segments, uniform in log u: every series then converges equally fast."""
     taper = jax.lax.stop_gradient(taper)  # the answer does not depend on where the joints are
     xi = np.linspace(0.0, 1.0, segments + 1)
@@ -53,6 +57,35 @@ def _knots(taper: Float[Array, ""], segments: int) -> Float[Array, " knots"]:
     safe = jnp.where(uniform, 0.5, taper)
     graded = -jnp.expm1(xi * jnp.log1p(-safe)) / safe
     return jnp.where(uniform, xi, graded).at[-1].set(1.0)
+
+
+def _place(
+    joints: Float[Array, " joints"],
+    mass_ratio: Float[Array, ""],
+    point_masses: Float[Array, " points"],
+    positions: Float[Array, " points"],
+) -> tuple[Float[Array, " knots"], Float[Array, " knots"]]:
+    """Knots, one of them at every point mass, and the mass at each.
+
+    Only the positions of masses carry a gradient, right also where one meets a joint or another.
+    """
+    on_beam = (positions > 0) & (positions <= 1)
+    point_masses = jnp.where(on_beam, point_masses, jnp.nan)  # elsewhere is not an answer
+    # A mass at a joint comes before it, so that the tip is last.
+    knots = jnp.concatenate([positions, joints])
+    masses = jnp.concatenate([point_masses, jnp.zeros_like(joints).at[-1].set(mass_ratio)])
+    order = jnp.argsort(jax.lax.stop_gradient(knots))
+    return knots[order], masses[order]
+
+
+def add_masses(
+    integral: Float[Array, "*modes"],
+    masses: Float[Array, " knots"],
+    values: Float[Array, "*modes knots"],
+) -> Float[Array, "*modes"]:
+    """Integral over beam and masses, from that over the beam and the values at the knots."""
+    inner = jnp.sum(masses[:-1] * values[..., :-1], axis=-1)
+    return integral + inner + masses[-1] * values[..., -1]
 
 
 def _series(
@@ -93,6 +126,23 @@ def _orthonormal(v: Float[Array, "4 2"]) -> tuple[Float[Array, "4 2"], Float[Arr
     return jnp.stack([q1, rest / r22], axis=1), jnp.stack([r11, r12, r22])
 
 
+def _short_transfer(
+    beta: Float[Array, ""], taper: Float[Array, ""], knots: Float[Array, " knots"]
+) -> Float[Array, "segments 4 4"]:
+    """Transfer over segments so short, or of no length, that two terms of it are exact.
+
+    At no length it is the identity, but its derivative with respect to the length is not zero.
+    """
+    unit = jnp.sqrt(1 + beta**2)
+    middle = (knots[1:] + knots[:-1]) / 2
+    one = np.eye(4)
+    rate = unit * np.eye(4, k=1) + beta**4 / unit**3 * np.outer(one[3], one[0])
+    change_of_width = 2 * taper / (1 - taper * middle)
+    rate = rate + change_of_width[:, None, None] * np.outer(one[3], one[3])
+    change = rate * jnp.diff(knots)[:, None, None]
+    return change + change @ change / 2 + one
+
+
 class _March(NamedTuple):
     series: Float[Array, "terms segments 4"]
     bases: Float[Array, "segments 4 2"]
@@ -103,21 +153,27 @@ class _March(NamedTuple):
 def _march(
     beta: Float[Array, ""],
     taper: Float[Array, ""],
-    mass_ratio: Float[Array, ""],
+    masses: Float[Array, " knots"],
     knots: Float[Array, " knots"],
 ) -> _March:
     """Carry the clamped solutions to the tip; `end` holds the two conditions there (eq. 16)."""
     series, scale = _series(beta, taper, knots)
-    transfer = jnp.einsum("dk,kji->jdi", _FALLING, series) / scale[:, :, None]
+    short = (jnp.diff(knots) < _SHORT)[:, None, None]
+    transfer = jnp.einsum("dk,kji->jdi", _FALLING, series)
+    transfer = transfer / jnp.where(short, 1.0, scale[:, :, None])
+    transfer = jnp.where(short, _short_transfer(beta, taper, knots), transfer)
+    inertia = masses * beta**4 / ((1 - taper * knots) * jnp.sqrt(1 + beta**2) ** 3)
 
-    def cross(basis, matrix):
+    def cross(basis, segment):
+        matrix, jump = segment
+        basis = basis.at[3].add(jump * basis[0])
         new, triangle = _orthonormal(matrix @ basis)
         return new, (basis, triangle)
 
     clamped = jnp.eye(4, dtype=beta.dtype)[:, 2:]
-    tip, (bases, triangles) = jax.lax.scan(cross, clamped, transfer)
-    inertia = mass_ratio * beta**4 / ((1 - taper) * jnp.sqrt(1 + beta**2) ** 3)
-    shear = (tip[3] + inertia * tip[0]) / (1 + inertia)  # of order 1 for any tip mass
+    tip, (bases, triangles) = jax.lax.scan(cross, clamped, (transfer, inertia[:-1]))
+    # Divided so, it is of order 1 for any tip mass.
+    shear = (tip[3] + inertia[-1] * tip[0]) / (1 + inertia[-1])
     return _March(series, bases, triangles, jnp.stack([tip[2], shear]))
 
 
@@ -131,7 +187,8 @@ def _ritz_basis(size: int) -> tuple[np.ndarray, ...]:
     """Polynomials whose second derivative is 1/sqrt(weight) at one Gauss point, 0 at the others.
 
     Their stiffness matrix int u psi'' psi'' is diagonal and exact, for every taper. Returns the
-    Gauss points, the mass matrices for u = 1 and u = s, and the values at s = 1.
+    Gauss points, the mass matrices for u = 1 and u = s, the values at s = 1 and the Legendre
+    coefficients.
     """
     legendre = np.polynomial.legendre
     x, w = legendre.leggauss(size)
@@ -143,30 +200,68 @@ def _ritz_basis(size: int) -> tuple[np.ndarray, ...]:
     points = (1 + y) / 2
     mass = (values * (v / 2)) @ values.T
     mass_s = (values * (v * points / 2)) @ values.T
-    return (1 + x) / 2, mass, mass_s, legendre.legval(1.0, twice)
+    return (1 + x) / 2, mass, mass_s, legendre.legval(1.0, twice), twice
+
+
+def _legendre(x: Float[Array, " points"], number: int) -> Float[Array, "number points"]:
+    """Values of the first Legendre polynomials."""
+
+    def following(last, k):
+        return (last[1], ((2 * k + 1) * x * last[1] - k * last[0]) / (k + 1)), last[0]
+
+    _, values = jax.lax.scan(following, (jnp.ones_like(x), x), jnp.arange(1.0, number + 1))
+    return values
+
+
+def _flexibility(
+    taper: Float[Array, ""], positions: Float[Array, " points"], knots: Float[Array, " knots"]
+) -> Float[Array, "points points"]:
+    """Static deflection at every position by a unit force at every other; each is a knot."""
+    node, weight = (1 + _QUADRATURE[0]) / 2, _QUADRATURE[1] / 2
+    h = jnp.diff(knots)[:, None]
+    s = knots[:-1, None] + h * node
+    arm = jnp.maximum(positions[:, None, None] - s, 0.0)
+    return jnp.einsum("psq,rsq->pr", arm, arm * h * weight / (1 - taper * s))
 
 
 def _start(
-    taper: Float[Array, ""], mass_ratio: Float[Array, ""], num_modes: int
-) -> Float[Array, " modes"]:
-    """All wanted beta, none missed, by Rayleigh-Ritz: only a start, so no gradient."""
-    taper, mass_ratio = jax.lax.stop_gradient((taper, mass_ratio))
-    points, mass, mass_s, tip = _ritz_basis(2 * num_modes + 12)
-    weight = 1 / jnp.sqrt(1 - taper * points)
-    matrix = mass - taper * mass_s + mass_ratio * np.outer(tip, tip)
-    # Mass against stiffness, not the reverse: the largest eigenvalues are the accurate ones.
-    flexibility = jnp.linalg.eigvalsh(weight[:, None] * matrix * weight)
-    return flexibility[::-1][:num_modes] ** -0.25
-
-
-def _roots(
     taper: Float[Array, ""],
     mass_ratio: Float[Array, ""],
+    point_masses: Float[Array, " points"],
+    positions: Float[Array, " points"],
     knots: Float[Array, " knots"],
     num_modes: int,
 ) -> Float[Array, " modes"]:
+    """All wanted beta, none missed, by Rayleigh-Ritz: only a start, so no gradient.
+
+    Polynomials bend slowly to the kink that a point mass makes in phi''. So the static deflections
+    by forces at the masses join them: what of those the polynomials lack, made orthonormal in
+    stiffness. It moves little but the masses themselves, so that alone is counted.
+    """
+    taper, mass_ratio, point_masses, positions, knots = jax.lax.stop_gradient(
+        (taper, mass_ratio, point_masses, positions, knots)
+    )
+    points, mass, mass_s, tip, coefficients = _ritz_basis(2 * num_modes + 12)
+    weight = 1 / jnp.sqrt(1 - taper * points)
+    matrix = mass - taper * mass_s + mass_ratio * np.outer(tip, tip)
+    matrix = weight[:, None] * matrix * weight
+    values = weight[:, None] * (coefficients.T @ _legendre(2 * positions - 1, len(coefficients)))
+    lacking = _flexibility(taper, positions, knots) - values.T @ values
+    # It is singular when masses share a place.
+    rounding = 1e3 * jnp.finfo(lacking.dtype).eps * jnp.eye(positions.size)
+    values = jnp.concatenate([values, jnp.linalg.cholesky(lacking + rounding).T])
+    matrix = jnp.pad(matrix, (0, positions.size)) + (values * point_masses) @ values.T
+    # Mass against stiffness, not the reverse: the largest eigenvalues are the accurate ones.
+    return jnp.linalg.eigvalsh(matrix)[::-1][:num_modes] ** -0.25
+
+
+def _roots(
+    start: Float[Array, " modes"],
+    taper: Float[Array, ""],
+    masses: Float[Array, " knots"],
+    knots: Float[Array, " knots"],
+) -> Float[Array, " modes"]:
     """Solve the frequency equation by Newton; the derivative is that of the implicit function."""
-    start = _start(taper, mass_ratio, num_modes)
     # Newton is quadratic: a last step of this size leaves only rounding.
     tolerance = float(jnp.finfo(start.dtype).eps) ** 0.6
     newton = optx.Newton(rtol=tolerance, atol=tolerance)
@@ -176,7 +271,7 @@ def _roots(
             _frequency_equation,
             newton,
             beta,
-            args=(taper, mass_ratio, knots),
+            args=(taper, masses, knots),
             max_steps=16,
             throw=False,
         )
@@ -189,11 +284,13 @@ def _roots(
 def _assemble(
     beta: Float[Array, ""],
     taper: Float[Array, ""],
-    mass_ratio: Float[Array, ""],
+    masses: Float[Array, " knots"],
     knots: Float[Array, " knots"],
-) -> tuple[Float[Array, "segments terms"], Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-    """Shape of one mode, mass-normalised, with int u phi^2, int u phi and phi(1)."""
-    march = _march(beta, taper, mass_ratio, knots)
+) -> tuple[
+    Float[Array, "segments terms"], Float[Array, ""], Float[Array, ""], Float[Array, " knots"]
+]:
+    """Shape of one mode, mass-normalised, with int u phi^2, int u phi and phi at the knots."""
+    march = _march(beta, taper, masses, knots)
     # Both rows of `end` are orthogonal to the answer; the longer one says so more precisely.
     rows = jnp.sum(march.end**2, axis=1)
     row = jnp.where(rows[0] > rows[1], march.end[0], march.end[1])
@@ -214,22 +311,32 @@ def _assemble(
     values = coefficients @ (node ** np.arange(_TERMS)[:, None])
     area = (1 - taper * (knots[:-1, None] + h * node)) * h * weight
     tip = jnp.sum(coefficients[-1])
+    at_knots = jnp.append(coefficients[:, 0], tip)
     square = jnp.sum(area * values**2)
-    norm = jnp.where(tip < 0, -1, 1) / jnp.sqrt(square + mass_ratio * tip**2)
-    return coefficients * norm, square * norm**2, jnp.sum(area * values) * norm, tip * norm
+    norm = jnp.where(tip < 0, -1, 1) / jnp.sqrt(add_masses(square, masses, at_knots**2))
+    return coefficients * norm, square * norm**2, jnp.sum(area * values) * norm, at_knots * norm
 
 
 @eqx.filter_jit
-def solve(taper: Float[Array, ""], mass_ratio: Float[Array, ""], num_modes: int) -> Shapes:
-    """First `num_modes` modes, normalised to int u phi^2 ds + mass_ratio phi(1)^2 = 1, phi(1) > 0.
+def solve(
+    taper: Float[Array, ""],
+    mass_ratio: Float[Array, ""],
+    point_masses: Float[Array, " points"],
+    positions: Float[Array, " points"],
+    num_modes: int,
+) -> Shapes:
+    """First `num_modes` modes, normalised to int u phi^2 ds + sum of mass phi^2 = 1, phi(1) > 0.
 
-    The count is static; the two numbers may be traced, and new ones do not compile again.
+    The sum is over the tip mass and the point masses. The counts are static; the numbers may be
+    traced, and new ones do not compile again.
     """
-    knots = _knots(taper, num_segments(num_modes))
-    beta = _roots(taper, mass_ratio, knots, num_modes)
+    joints = _joints(taper, num_segments(num_modes))
+    knots, masses = _place(joints, mass_ratio, point_masses, positions)
+    start = _start(taper, mass_ratio, point_masses, positions, knots, num_modes)
+    beta = _roots(start, taper, masses, knots)
     assemble = jax.vmap(_assemble, in_axes=(0, None, None, None))
-    coefficients, square, linear, tip = assemble(beta, taper, mass_ratio, knots)
-    return Shapes(beta, knots, coefficients, square, linear, tip)
+    coefficients, square, linear, at_knots = assemble(beta, taper, masses, knots)
+    return Shapes(beta, knots, coefficients, square, linear, masses, at_knots)
 
 
 @eqx.filter_jit
@@ -240,10 +347,10 @@ def evaluate(
     derivative: int,
 ) -> Float[Array, "*points modes"]:
     """Values of the `derivative`-th derivative with respect to s (static, 0 to 3)."""
-    segments = coefficients.shape[1]
     inner = jax.lax.stop_gradient(s)
     index: Int[Array, "*points"] = jnp.searchsorted(knots[1:-1], inner, side="right")
-    index = jnp.clip(index, 0, segments - 1)
+    # A mass at the tip leaves a segment of no length there, which is not to be used.
+    index = jnp.minimum(index, jnp.searchsorted(knots, knots[-1]) - 1)
     h = jnp.diff(knots)[index]
     t = ((s - knots[index]) / h)[..., None]
     series = (coefficients * _FALLING[derivative])[:, :, derivative:]

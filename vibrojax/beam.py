@@ -8,7 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from vibrojax._checks import as_number, check_not_negative, check_positive, check_range
+from vibrojax._checks import (
+    as_number,
+    check_not_negative,
+    check_position,
+    check_positive,
+    check_range,
+)
 
 
 def _number(name: str, value: Any) -> Any:
@@ -22,14 +28,40 @@ def _field(name: str, **default: Any) -> Any:
     return eqx.field(converter=partial(_number, name), **default)
 
 
+class PointMass(eqx.Module):
+    """A small mass fixed on the beam, such as an accelerometer, without rotary inertia.
+
+    Both fields are numbers that can be swept, batched and differentiated.
+
+    Raises `ValueError` when the mass is negative or the position is outside (0, 1]. Values that
+    JAX is tracing are not checked.
+    """
+
+    mass: float | Float[Array, "..."] = _field("mass")
+    """Mass, kg."""
+    position: float | Float[Array, "..."] = _field("position", default=1.0)
+    """Place s = x/L in (0, 1], the tip unless told otherwise."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a mass on the beam."""
+        check_not_negative("mass", self.mass, "kg")
+        check_position("position", self.position)
+
+
+def _as_tuple(given: Any) -> tuple[Any, ...]:
+    return tuple(given) if isinstance(given, list | tuple) else (given,)
+
+
 class Cantilever(eqx.Module):
     """A beam clamped at s = 0, its width b0 (1 - taper s) and its thickness constant, s = x/L.
 
-    Every field is a number that can be swept, batched and differentiated; the properties are
-    computed from them when asked. Source: Gandhi and Vyas 2017, eqs. 2, 4, 13, 16 and 17.
+    Every number of it can be swept, batched and differentiated; the properties are computed from
+    them when asked. Source: Gandhi and Vyas 2017, eqs. 2, 4, 13, 16 and 17; the point masses are
+    not in the paper.
 
     Raises `ValueError` when a length, the modulus or the density is not above 0, the taper is
-    outside [0, 1), or the mass ratio is negative. Values that JAX is tracing are not checked.
+    outside [0, 1), the mass ratio is negative, or a point mass is no `PointMass`. Values that JAX
+    is tracing are not checked.
     """
 
     length: float | Float[Array, "..."] = _field("length")
@@ -46,6 +78,8 @@ class Cantilever(eqx.Module):
     """Taper mu in [0, 1): the width at the tip is b0 (1 - mu)."""
     mass_ratio: float | Float[Array, "..."] = _field("mass_ratio", default=0.0)
     """Tip mass over rho A0 L with the area A0 at the ROOT, not over the mass of the beam."""
+    point_masses: tuple[PointMass, ...] = eqx.field(converter=_as_tuple, default=())
+    """Masses fixed on the beam besides the tip mass; one, or a list, becomes a tuple."""
 
     def __check_init__(self) -> None:
         """Refuse concrete values that are not a beam."""
@@ -66,6 +100,9 @@ class Cantilever(eqx.Module):
         check_not_negative(
             "mass_ratio", self.mass_ratio, "(tip mass / (density * root area * length))"
         )
+        for point_mass in self.point_masses:
+            if not isinstance(point_mass, PointMass):
+                raise ValueError(f"point_masses must hold PointMass objects, got {point_mass!r}.")
 
     @property
     def root_area(self) -> float | Float[Array, "..."]:
@@ -84,7 +121,7 @@ class Cantilever(eqx.Module):
 
     @property
     def tip_mass(self) -> float | Float[Array, "..."]:
-        """Mass at the tip, kg (Gandhi and Vyas 2017, eq. 17)."""
+        """Mass that `mass_ratio` puts at the tip, kg (Gandhi and Vyas 2017, eq. 17)."""
         return self.mass_ratio * self.reference_mass
 
     @property

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax._checks import nearest
-from vibrojax.contact_laws import KelvinVoigt
+from vibrojax.contact_laws import AbstractContactLaw, KelvinVoigt
 from vibrojax.drive import NoDrive
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.reading import read_measured_curve
@@ -28,7 +28,6 @@ _OF_BEAM = (
     "mass_ratio",
 )
 _OF_STOP = ("position", "gap")
-_OF_LAW = ("stiffness", "damping")
 _BOUNDS = {
     "taper": (0.0, 0.99),
     "mass_ratio": (0.0, np.inf),
@@ -45,7 +44,7 @@ def rig_numbers(system: ImpactingBeam) -> dict[str, float]:
     if system.stops:
         stop = system.stops[0]
         found |= {name: getattr(stop, name) for name in _OF_STOP}
-        found |= {name: getattr(stop.law, name) for name in _OF_LAW if hasattr(stop.law, name)}
+        found |= {name: getattr(stop.law, name) for name in _of_law(stop.law)}
     found["damping_ratio"] = system.damping_ratio
     if not isinstance(system.drive, NoDrive):
         found["amplitude"] = getattr(system.drive, "amplitude")  # noqa: B009
@@ -70,9 +69,8 @@ def rig_function(system: ImpactingBeam, names: Sequence[str]) -> Callable[..., I
         }
         if system.stops:
             first, *others = system.stops
-            law = first.law
-            if isinstance(law, KelvinVoigt):
-                law = dataclasses.replace(law, **_of(numbers, _OF_LAW))
+            law: Any = first.law
+            law = dataclasses.replace(law, **_of(numbers, _of_law(law)))
             first = dataclasses.replace(first, law=law, **_of(numbers, _OF_STOP))
             changed["stops"] = (first, *others)
         if "amplitude" in numbers:
@@ -86,12 +84,18 @@ def rig_function(system: ImpactingBeam, names: Sequence[str]) -> Callable[..., I
     return make
 
 
+def _of_law(law: AbstractContactLaw) -> tuple[str, ...]:
+    """Names of the numbers of a contact law."""
+    fields: Any = dataclasses.fields(law)  # pyright: ignore[reportArgumentType]
+    return tuple(field.name for field in fields if not field.metadata.get("static"))
+
+
 def _of(numbers: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
     return {name: numbers[name] for name in names if name in numbers}
 
 
 def _unknown(name: str, known: Mapping[str, float], system: ImpactingBeam) -> str:
-    if name in (*_OF_STOP, *_OF_LAW) and not system.stops:
+    if name in (*_OF_STOP, *_of_law(KelvinVoigt(0.0))) and not system.stops:
         return f"--fit {name}: the rig has no stop. Give it a table [[stop]]."
     if name == "amplitude":
         return "--fit amplitude: the rig has no drive. Give it a table [drive]."

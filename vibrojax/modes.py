@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_choice, check_count, check_range, concrete
-from vibrojax._dtm import Shapes, evaluate, solve
+from vibrojax._dtm import Shapes, add_masses, evaluate, solve
 from vibrojax.beam import Cantilever
 
 if TYPE_CHECKING:
@@ -21,8 +21,9 @@ FORMULATIONS = ("consistent", "as_printed")
 class Modes(eqx.Module):
     """The first modes of a cantilever, in order of frequency.
 
-    Shapes are mass-normalised whatever the formulation, int u phi^2 ds + Mr phi(1)^2 = 1, with
-    phi(1) > 0. Made by `modes`; a result, not a recipe: a changed beam needs a new call.
+    Shapes are mass-normalised whatever the formulation, int u phi^2 ds + Mr phi(1)^2 +
+    sum m phi(s_m)^2 = 1, with phi(1) > 0; the sum is over the point masses m/(rho A0 L) at s_m.
+    Made by `modes`; a result, not a recipe: a changed beam needs a new call.
     """
 
     beta: Float[Array, " modes"]
@@ -56,7 +57,8 @@ class Modes(eqx.Module):
         """Mode shapes, or a derivative of them with respect to s, at the places s = x/L.
 
         A scalar gives shape (modes,), points of shape (points,) give (points, modes). `derivative`
-        is 0 to 3. Raises `ValueError` for another derivative or for s outside [0, 1].
+        is 0 to 3; the third jumps at a point mass and is that just beyond it, at the tip that
+        just before it. Raises `ValueError` for another derivative or for s outside [0, 1].
         """
         if isinstance(derivative, bool) or derivative not in range(4):
             raise ValueError(f"derivative must be 0, 1, 2 or 3, got {derivative!r}.")
@@ -105,15 +107,14 @@ def _scalar(name: str, value) -> Float[Array, ""]:
 @eqx.filter_jit
 def _finish(
     solved: Shapes,
-    mass_ratio: Float[Array, ""],
     scale: Float[Array, ""],
     reference_mass: Float[Array, ""],
     formulation: str,
 ) -> Modes:
     mass, load = solved.area_integral_of_square, solved.area_integral
     if formulation == "consistent":
-        mass = mass + mass_ratio * solved.tip**2
-        load = load + mass_ratio * solved.tip
+        mass = add_masses(mass, solved.masses, solved.at_knots**2)
+        load = add_masses(load, solved.masses, solved.at_knots)
     return Modes(
         beta=solved.beta,
         angular_frequency=scale * solved.beta**2,
@@ -129,14 +130,15 @@ def modes(beam: Cantilever, num_modes: int = 5, formulation: str = "consistent")
     """Solve for the first `num_modes` natural frequencies (Hz) and mode shapes of the beam.
 
     `consistent` counts the tip mass in the modal mass, m_i = int u phi^2 + Mr phi(1)^2, and in the
-    participation, Gamma_i = (int u phi + Mr phi(1))/m_i, as the orthogonality of the modes asks.
-    `as_printed` leaves it out of both, which Gandhi and Vyas 2017 do (sec. 2.3): to replicate
-    their numbers only, since with a tip mass it is wrong at any number of modes.
+    participation, Gamma_i = (int u phi + Mr phi(1))/m_i, as the orthogonality of the modes asks;
+    a point mass adds to both in the same way, at its place. `as_printed` leaves every mass out of
+    both, which Gandhi and Vyas 2017 do with the tip mass (sec. 2.3): to replicate their numbers
+    only, since with a mass it is wrong at any number of modes.
 
     Works under jit, vmap, forward and reverse differentiation in every number of the beam, taper
-    included. A mode for which no root is found is NaN. Accurate for taper up to 0.99 (at 0.999 to
-    fewer digits) and 20 modes. Sources: Gandhi and Vyas 2017, eqs. 13 to 17, and the expansion
-    in several segments of `vibrojax._dtm`.
+    and places of the point masses included. A mode for which no root is found is NaN. Accurate
+    for taper up to 0.99 (at 0.999 to fewer digits) and 20 modes. Sources: Gandhi and Vyas 2017,
+    eqs. 13 to 17, and `vibrojax._dtm` for the expansion in several segments and the point masses.
 
     Raises `ValueError` when num_modes is not a whole number of at least 1, the formulation is
     unknown, or a number of the beam is an array.
@@ -144,7 +146,11 @@ def modes(beam: Cantilever, num_modes: int = 5, formulation: str = "consistent")
     check_count("num_modes", num_modes)
     check_choice("formulation", formulation, FORMULATIONS)
     taper, mass_ratio = _scalar("taper", beam.taper), _scalar("mass_ratio", beam.mass_ratio)
-    solved = solve(taper, mass_ratio, int(num_modes))
     scale = _scalar("frequency_scale", beam.frequency_scale)
     reference_mass = _scalar("reference_mass", beam.reference_mass)
-    return _finish(solved, mass_ratio, scale, reference_mass, formulation)
+    masses = [_scalar("mass of a point mass", point.mass) for point in beam.point_masses]
+    places = [_scalar("position of a point mass", point.position) for point in beam.point_masses]
+    point_masses = jnp.asarray(masses, taper.dtype) / reference_mass
+    positions = jnp.asarray(places, taper.dtype)
+    solved = solve(taper, mass_ratio, point_masses, positions, int(num_modes))
+    return _finish(solved, scale, reference_mass, formulation)

@@ -3,7 +3,7 @@
 import os
 import tomllib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,88 +14,32 @@ from vibrojax._checks import (
     check_positive,
     nearest,
 )
-from vibrojax.beam import Cantilever
+from vibrojax.beam import Cantilever, PointMass
 from vibrojax.contact import Stop
-from vibrojax.contact_laws import KelvinVoigt
 from vibrojax.drive import AbstractDrive, BaseMotion, NoDrive, PointForce
+from vibrojax.rig_file_keys import (
+    AXES,
+    GROUPS,
+    KEYS,
+    KINDS_OF_DRIVE,
+    KINDS_OF_RESPONSE,
+    LAWS,
+    MAP_KEYS,
+    MASSES,
+    NUMBER,
+    NUMBER_OR_FALSE,
+    RANGE,
+    RANGE_OR_NUMBER,
+    SPACED_KEYS,
+    SPACINGS,
+    SWITCH,
+    TEXT,
+    TEXTS,
+    WHOLE,
+)
 from vibrojax.stepping.method import check_settings
 from vibrojax.studies.frequency_sweep import DIRECTIONS
 from vibrojax.systems.impacting_beam import ImpactingBeam
-
-
-class _Key(NamedTuple):
-    kind: str
-    required: bool = False
-
-
-_NUMBER = "a number"
-_WHOLE = "a whole number"
-_TEXT = "a text in quotes"
-_SWITCH = "true or false"
-_RANGE = "[start, end, points]"
-_NUMBER_OR_FALSE = "a number or false"
-_RANGE_OR_NUMBER = "[start, end, points] or one number"
-_TEXTS = "a list of texts in quotes"
-_AXES = "a table [map.axes]"
-_GROUPS = "one or more tables [[map.zipped]]"
-
-_KEYS = {
-    "beam": {
-        "length": _Key(_NUMBER, True),
-        "width": _Key(_NUMBER, True),
-        "thickness": _Key(_NUMBER, True),
-        "youngs_modulus": _Key(_NUMBER, True),
-        "density": _Key(_NUMBER, True),
-        "taper": _Key(_NUMBER),
-        "mass_ratio": _Key(_NUMBER),
-    },
-    "stop": {
-        "position": _Key(_NUMBER, True),
-        "gap": _Key(_NUMBER, True),
-        "stiffness": _Key(_NUMBER, True),
-        "damping": _Key(_NUMBER),
-        "side": _Key(_WHOLE),
-        "tension": _Key(_SWITCH),
-        "smoothing": _Key(_NUMBER),
-    },
-    "drive": {
-        "kind": _Key(_TEXT, True),
-        "amplitude": _Key(_NUMBER, True),
-        "position": _Key(_NUMBER),
-    },
-    "model": {
-        "damping_ratio": _Key(_NUMBER, True),
-        "num_modes": _Key(_WHOLE),
-        "formulation": _Key(_TEXT),
-    },
-    "sweep": {
-        "frequency_ratio": _Key(_RANGE),
-        "frequency": _Key(_RANGE),
-        "direction": _Key(_TEXT),
-        "tolerance": _Key(_NUMBER),
-        "steps_per_period": _Key(_WHOLE),
-        "max_period": _Key(_WHOLE),
-        "max_periods": _Key(_WHOLE),
-        "refine_jumps": _Key(_NUMBER_OR_FALSE),
-    },
-}
-_MAP_KEYS = {
-    "response": _Key(_TEXT),
-    "frequency_ratio": _Key(_RANGE_OR_NUMBER),
-    "frequency": _Key(_RANGE_OR_NUMBER),
-    "direction": _Key(_TEXT),
-    "tolerance": _Key(_NUMBER),
-    "measures": _Key(_TEXTS),
-    "keep_curves": _Key(_SWITCH),
-    "gradients": _Key(_TEXTS),
-    "axes": _Key(_AXES),
-    "zipped": _Key(_GROUPS),
-}
-"""Keys of [map], which `examples/map.toml` explains."""
-_SPACED_KEYS = ("start", "end", "points", "spacing")
-_SPACINGS = ("linear", "log")
-_KINDS_OF_RESPONSE = ("sweep", "periodic", "continuation")
-_KINDS_OF_DRIVE = ("base_motion", "point_force")
 
 
 def read_rig(path: str | os.PathLike[str]) -> tuple[ImpactingBeam, dict[str, Any]]:
@@ -106,8 +50,11 @@ def read_rig(path: str | os.PathLike[str]) -> tuple[ImpactingBeam, dict[str, Any
 
     Tables, all in SI units (`examples/uniform_beam.toml` explains every key):
         [beam]    length, width, thickness, youngs_modulus, density; taper, mass_ratio (0)
-        [[stop]]  position, gap, stiffness; damping (0), side (1), tension (true), smoothing;
-                  once for each stop, or not at all
+        [[beam.point_masses]]  mass; position (1); once for each mass
+        [[stop]]  position, gap, stiffness; side (1), smoothing; law ("kelvin_voigt") with its
+                  numbers: damping (0), tension (true); "hertz": exponent (1.5); "hunt_crossley":
+                  dissipation (0), exponent (1.5); "standard_linear_solid": maxwell_stiffness,
+                  relaxation_time; once for each stop, or not at all
         [drive]   kind ("base_motion" or "point_force"), amplitude; position of a force (1);
                   may be left out where only the modes are wanted
         [model]   damping_ratio; num_modes (5), formulation ("consistent")
@@ -162,7 +109,11 @@ def _shown(table: str) -> str:
 
 def _check_keys(table: str, values: Any, label: str) -> dict[str, Any]:
     """Return the keys of one table, each of its kind; numbers become floats."""
-    keys = _MAP_KEYS if table == "map" else _KEYS[table]
+    keys = MAP_KEYS if table == "map" else KEYS[table]
+    if table == "stop" and isinstance(values, dict):
+        law = values.get("law", "kelvin_voigt")
+        _within(label, check_choice, "law", law, tuple(LAWS))
+        keys = keys | LAWS[law][1]
     if not isinstance(values, dict):
         raise ValueError(f"{table} must be a table that begins with {_shown(table)}.")
     for name in values:
@@ -176,25 +127,27 @@ def _check_keys(table: str, values: Any, label: str) -> dict[str, Any]:
 
 def _of_kind(kind: str, label: str, value: Any) -> Any:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if kind == _NUMBER_OR_FALSE and value is False:
+    if kind == NUMBER_OR_FALSE and value is False:
         return None
-    if kind in (_NUMBER, _NUMBER_OR_FALSE) and number:
+    if kind in (NUMBER, NUMBER_OR_FALSE) and number:
         return float(value)
-    if kind == _WHOLE and number and isinstance(value, int):
+    if kind == WHOLE and number and isinstance(value, int):
         return value
-    if kind == _TEXT and isinstance(value, str):
+    if kind == TEXT and isinstance(value, str):
         return value
-    if kind == _SWITCH and isinstance(value, bool):
+    if kind == SWITCH and isinstance(value, bool):
         return value
-    if kind in (_RANGE, _RANGE_OR_NUMBER) and isinstance(value, list):
+    if kind in (RANGE, RANGE_OR_NUMBER) and isinstance(value, list):
         return frequency_range(label, value)
-    if kind == _RANGE_OR_NUMBER and number:
+    if kind == RANGE_OR_NUMBER and number:
         return one_frequency(label, float(value))
-    if kind == _TEXTS and isinstance(value, list) and all(isinstance(v, str) for v in value):
+    if kind == TEXTS and isinstance(value, list) and all(isinstance(v, str) for v in value):
         return value
-    if kind == _AXES and isinstance(value, dict):
+    if kind == AXES and isinstance(value, dict):
         return _axes("[map.axes]", value)
-    if kind == _GROUPS and isinstance(value, list):
+    if kind == MASSES and isinstance(value, list):
+        return value
+    if kind == GROUPS and isinstance(value, list):
         return [_axes("[[map.zipped]]", group) for group in value]
     raise ValueError(f"{label} must be {kind}, got {_in_toml(value)}.")
 
@@ -211,7 +164,7 @@ def frequency_range(label: str, values: Any) -> np.ndarray:
     """
     is_number = [isinstance(v, int | float) and not isinstance(v, bool) for v in values]
     if len(values) != 3 or not all(is_number):
-        raise ValueError(f"{label} must be three numbers, {_RANGE}, got {list(values)!r}.")
+        raise ValueError(f"{label} must be three numbers, {RANGE}, got {list(values)!r}.")
     start, end, points = values
     check_count(f"Points of {label}", points, least=2)
     if end <= start:
@@ -241,7 +194,7 @@ def spaced(
     Raises `ValueError`, in the name of `label`, for ends that do not increase or are not finite,
     fewer than 2 points, an unknown spacing, or a start of 0 or less with even ratios.
     """
-    check_choice(f"Spacing of {label}", spacing, _SPACINGS)
+    check_choice(f"Spacing of {label}", spacing, SPACINGS)
     check_count(f"Points of {label}", points, least=2)
     if not np.isfinite([start, end]).all():
         raise ValueError(f"{label} must be finite, got start {start!r} and end {end!r}.")
@@ -265,19 +218,19 @@ def _axes(label: str, table: Any) -> dict[str, list[float]]:
 
 def _values(label: str, given: Any) -> list[float]:
     if isinstance(given, list) and given:
-        return [_of_kind(_NUMBER, f"Every value of {label}", value) for value in given]
+        return [_of_kind(NUMBER, f"Every value of {label}", value) for value in given]
     if not isinstance(given, dict):
         raise ValueError(
             f"{label} must be a list of numbers, or {{start = ..., end = ..., points = ...}}, got "
             f"{_in_toml(given)}."
         )
     for name in given:
-        if name not in _SPACED_KEYS:
-            raise ValueError(f"unknown key {name!r} in {label}. {nearest(name, _SPACED_KEYS)}")
-    for name in _SPACED_KEYS[:3]:
+        if name not in SPACED_KEYS:
+            raise ValueError(f"unknown key {name!r} in {label}. {nearest(name, SPACED_KEYS)}")
+    for name in SPACED_KEYS[:3]:
         if name not in given:
             raise ValueError(f"{label} lacks the key {name!r}.")
-    start, end = (_of_kind(_NUMBER, f"{label} {name}", given[name]) for name in ("start", "end"))
+    start, end = (_of_kind(NUMBER, f"{label} {name}", given[name]) for name in ("start", "end"))
     return spaced(label, start, end, given["points"], given.get("spacing", "linear"))
 
 
@@ -291,8 +244,19 @@ def _within(label: str, build: Any, *args: Any, **numbers: Any) -> Any:
 
 def _stop(values: Any, label: str) -> Stop:
     keys = _check_keys("stop", values, label)
-    law = {name: keys.pop(name) for name in ("stiffness", "damping", "tension") if name in keys}
-    return _within(label, Stop, law=_within(label, KelvinVoigt, **law), **keys)
+    build, own = LAWS[keys.pop("law", "kelvin_voigt")]
+    numbers = {name: keys.pop(name) for name in own if name in keys}
+    return _within(label, Stop, law=_within(label, build, **numbers), **keys)
+
+
+def _beam(values: Any) -> Cantilever:
+    keys = _check_keys("beam", values, "[beam]")
+    label = "[[beam.point_masses]]"
+    masses = tuple(
+        _within(label, PointMass, **_check_keys("beam.point_masses", one, label))
+        for one in keys.pop("point_masses", ())
+    )
+    return _within("[beam]", Cantilever, **keys, point_masses=masses)
 
 
 def _stops(found: Any) -> tuple[Stop, ...]:
@@ -305,7 +269,7 @@ def _stops(found: Any) -> tuple[Stop, ...]:
 def _drive(values: Any) -> AbstractDrive:
     keys = _check_keys("drive", values, "[drive]")
     kind = keys.pop("kind")
-    _within("[drive]", check_choice, "kind", kind, _KINDS_OF_DRIVE)
+    _within("[drive]", check_choice, "kind", kind, KINDS_OF_DRIVE)
     if kind == "point_force":
         return _within("[drive]", PointForce, **keys)
     if "position" in keys:
@@ -314,7 +278,7 @@ def _drive(values: Any) -> AbstractDrive:
 
 
 def _system(tables: dict[str, Any]) -> ImpactingBeam:
-    known = (*_KEYS, "map")
+    known = (*(name for name in KEYS if "." not in name), "map")
     for name, value in tables.items():
         if name not in known:
             what = "table" if isinstance(value, dict | list) else "key outside the tables,"
@@ -322,7 +286,7 @@ def _system(tables: dict[str, Any]) -> ImpactingBeam:
     for name in ("beam", "model"):
         if name not in tables:
             raise ValueError(f"the table {_shown(name)} is missing.")
-    beam = _within("[beam]", Cantilever, **_check_keys("beam", tables["beam"], "[beam]"))
+    beam = _beam(tables["beam"])
     stops = _stops(tables.get("stop", []))
     drive = _drive(tables["drive"]) if "drive" in tables else NoDrive()
     model = _check_keys("model", tables["model"], "[model]")
@@ -345,7 +309,7 @@ def _map_settings(tables: dict[str, Any]) -> dict[str, Any]:
     if "frequency" in settings and "frequency_ratio" in settings:
         raise ValueError("[map] has frequency and frequency_ratio: give one of the two.")
     response = settings.get("response", "sweep")
-    _within("[map]", check_choice, "response", response, _KINDS_OF_RESPONSE)
+    _within("[map]", check_choice, "response", response, KINDS_OF_RESPONSE)
     if "direction" in settings:
         _within("[map]", check_choice, "direction", settings["direction"], tuple(DIRECTIONS))
         if response != "sweep":

@@ -21,6 +21,7 @@ from jaxtyping import Array, Complex, Float
 from vibrojax.contact import Stop
 from vibrojax.contact_laws import can_pull, linear_coefficients
 from vibrojax.drive import AbstractDrive
+from vibrojax.response.methods import check_balance
 from vibrojax.stepping.contact_phases import _eigen
 from vibrojax.systems.base import LinearEquations
 
@@ -102,6 +103,7 @@ def condensed_problem(
     samples carry.
     """
     count = samples // 2 + 1
+    check_balance(equations.stops)
     base = angular_frequency / period
     table = receptance(equations, base * jnp.arange(count))
     kept = np.arange(count) <= (count if harmonics is None else harmonics)

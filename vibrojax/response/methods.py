@@ -6,9 +6,21 @@ import diffrax
 import equinox as eqx
 
 from vibrojax._checks import check_count
+from vibrojax.contact import Stop
 
 SAMPLES = ((1e-3, 128), (1e-4, 256), (1e-5, 512), (1e-6, 1024))
 """Tolerance reached by harmonic balance, by samples per drive period."""
+
+
+def check_balance(stops: tuple[Stop, ...]) -> None:
+    """Refuse, with a `ValueError`, a contact law that harmonic balance cannot take."""
+    for stop in stops:
+        if stop.has_memory:
+            raise ValueError(
+                "Harmonic balance needs a contact force that is a function of depth and rate, but "
+                f"a {type(stop.law).__name__} has an internal state. Use frequency_sweep, or "
+                "periodic_response with method=Shooting()."
+            )
 
 
 class HarmonicBalance(eqx.Module):

@@ -13,7 +13,7 @@ from vibrojax.response.balanced_motion import read_balanced, solve_balance
 from vibrojax.response.contact_times import MOST_EVENTS, Events, Orbit, follow_events
 from vibrojax.response.exact_point import Guess, exact_point
 from vibrojax.response.implicit import frozen
-from vibrojax.response.methods import HarmonicBalance, Shooting
+from vibrojax.response.methods import HarmonicBalance, Shooting, check_balance
 from vibrojax.response.orbit_reading import find_crossings, read_course, state_at
 from vibrojax.response.paths import FrequencyPath, frequency_path
 from vibrojax.response.shooting import shoot
@@ -52,7 +52,7 @@ def periodic_response(
             default a march from rest until it settles.
         method: `Shooting()` or `HarmonicBalance()`. By default linear stops are solved exactly
             between their contact times (shooting through exact propagators), other stops by
-            harmonic balance, other systems by shooting.
+            harmonic balance, stops with an internal state and other systems by shooting.
         tolerance: relative error to aim at, where the solution is not exact.
 
     Raises `ValueError` for a period below 1, settings that contradict each other, a tolerance out
@@ -75,7 +75,10 @@ def periodic_response(
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
     state = _state_of(guess, equations.state_size)
     exact = linear and is_exact(system)
-    if isinstance(method, Shooting) or not linear:
+    memory = bool(equations.memory_size)
+    if isinstance(method, HarmonicBalance):
+        check_balance(equations.stops)
+    if isinstance(method, Shooting) or not linear or memory:
         if isinstance(method, HarmonicBalance):
             raise ValueError(
                 f"{type(system).__name__} is not linear but for its stops, which harmonic balance "

@@ -59,8 +59,8 @@ class StateInterpolation(diffrax.AbstractLocalInterpolation):
     t1: Float[Array, ""]  # pyright: ignore
     y0: Float[Array, " states"]
     y1: Float[Array, " states"]
-    memory0: Float[Array, " memories"]
-    memory1: Float[Array, " memories"]
+    memory0: Float[Array, " memories"] | None = None
+    memory1: Float[Array, " memories"] | None = None
 
     def evaluate(
         self,
@@ -79,6 +79,8 @@ class StateInterpolation(diffrax.AbstractLocalInterpolation):
         curve = rise - h * v0 - bend
         q = q0 + u * (h * v0 + u * (curve + u * bend))
         v = v0 + u * (2 * curve + 3 * u * bend) / safe
+        if self.memory0 is None or self.memory1 is None:
+            return jnp.concatenate([q, v])
         return jnp.concatenate([q, v, self.memory0 + u * (self.memory1 - self.memory0)])
 
 
@@ -135,7 +137,9 @@ class AbstractMethod(diffrax.AbstractSolver):
             diffrax.RESULTS.nonlinear_divergence,  # pyright: ignore[reportArgumentType]
         )
         n = 2 * args.equations.size
-        ends = {"y0": y0[:n], "y1": state[:n], "memory0": y0[n:], "memory1": state[n:]}
+        ends = {"y0": y0[:n], "y1": state[:n]}
+        if args.equations.memory_size:  # arrays without elements upset XLA in diffrax's loop
+            ends |= {"memory0": y0[n:], "memory1": state[n:]}
         return state, None, ends, solver_state, result
 
 

@@ -86,10 +86,12 @@ def _random_states(paths, value: float, starts: int, size: float, seed: int) -> 
     amplitude = complex(place.drive.complex_amplitude(jnp.asarray(w), jnp.asarray(0.0)))
     natural, zeta = np.asarray(equations.angular_frequency), np.asarray(equations.damping_ratio)
     q = amplitude * np.asarray(equations.input_map) / (natural**2 - w**2 + 2j * zeta * natural * w)
-    reach = np.linalg.norm(weight * np.concatenate([np.abs(q), w * np.abs(q)]))
+    moving = 2 * len(q)
+    reach = np.linalg.norm(weight[:moving] * np.concatenate([np.abs(q), w * np.abs(q)]))
     random = np.random.default_rng(seed)
     # Low modes carry the motion: the size of a direction falls with the frequency of its mode.
-    spread = np.tile(natural[0] / natural, 2)
+    # Stops with an internal state are at rest.
+    spread = np.append(np.tile(natural[0] / natural, 2), np.zeros(weight.size - moving))
     direction = random.normal(size=(starts, weight.size)) * spread
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radius = size * reach * random.uniform(size=(starts, 1))

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vibrojax._checks import check_positive, nearest
+from vibrojax.response.methods import check_balance
 from vibrojax.studies.frequency_sweep import check_drive
 from vibrojax.systems.base import (
     AbstractEquations,
@@ -128,7 +129,7 @@ def along_of(
             for row in labels
         ]
         sample = ends[-1]
-    check_system(sample)
+    check_continued(sample)
     return Along(
         make=system,
         name=followed,
@@ -180,6 +181,12 @@ def check_system(system: AbstractSystem) -> None:
     """Refuse, with a `ValueError`, a system without drive, stops, or linear equations."""
     check_drive(system)
     check_equations(system, equations_of(as_arrays(system)))
+
+
+def check_continued(system: AbstractSystem) -> None:
+    """Refuse, with a `ValueError`, a system whose branches cannot be followed."""
+    check_system(system)
+    check_balance(equations_of(as_arrays(system)).stops)
 
 
 def check_equations(system: AbstractSystem, equations: AbstractEquations) -> None:

@@ -334,6 +334,11 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
         raise ValueError(
             f"{kind} is not linear but for its stops: histories of such a system are not fitted."
         )
+    if getattr(eqx.filter_eval_shape(system.equations), "memory_size", 0):
+        raise ValueError(
+            f"{kind} has a stop whose law has an internal state: histories of such a system are "
+            "not fitted."
+        )
     beam = isinstance(system, ImpactingBeam)
     if history.position is not None and not beam:
         raise ValueError(

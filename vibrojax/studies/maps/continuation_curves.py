@@ -12,7 +12,7 @@ from vibrojax.response.methods import HarmonicBalance
 from vibrojax.results.branch import CURVES, Branch
 from vibrojax.stepping.choice import is_exact
 from vibrojax.studies.branch_work import BranchWork
-from vibrojax.studies.continuation_axes import check_system
+from vibrojax.studies.continuation_axes import check_continued
 from vibrojax.studies.continuation_paths import frequency_paths
 from vibrojax.studies.continuation_plan import Plan, Resolution
 from vibrojax.studies.continue_response import samples_of
@@ -55,7 +55,7 @@ class ContinuationCurve(AbstractMapResponse):
                 f"A branch needs a range to be followed: give several values of {grid.axis}, or "
                 "use response='periodic' at one."
             )
-        check_system(sample)
+        check_continued(sample)
         samples_of(self.method or HarmonicBalance(), self.tolerance, is_exact(sample))
 
     def ways(self) -> tuple[str, list[Any]]:
