@@ -5,9 +5,15 @@ Importing vibrojax switches JAX to float64, unless the environment variable JAX_
 
 from vibrojax import _precision as _precision
 from vibrojax.beam import Cantilever as Cantilever
-from vibrojax.contact import AbstractContactLaw as AbstractContactLaw
-from vibrojax.contact import KelvinVoigt as KelvinVoigt
+from vibrojax.beam import PointMass as PointMass
 from vibrojax.contact import Stop as Stop
+from vibrojax.contact_laws import AbstractContactLaw as AbstractContactLaw
+from vibrojax.contact_laws import AbstractLinearLaw as AbstractLinearLaw
+from vibrojax.contact_laws import AbstractMemoryLaw as AbstractMemoryLaw
+from vibrojax.contact_laws import Hertz as Hertz
+from vibrojax.contact_laws import HuntCrossley as HuntCrossley
+from vibrojax.contact_laws import KelvinVoigt as KelvinVoigt
+from vibrojax.contact_laws import StandardLinearSolid as StandardLinearSolid
 from vibrojax.drive import AbstractDrive as AbstractDrive
 from vibrojax.drive import AbstractWaveform as AbstractWaveform
 from vibrojax.drive import BaseMotion as BaseMotion
@@ -33,6 +39,8 @@ from vibrojax.results.branch import Branch as Branch
 from vibrojax.results.branch import Branches as Branches
 from vibrojax.results.branch import SpecialPoint as SpecialPoint
 from vibrojax.results.coexisting import Coexisting as Coexisting
+from vibrojax.results.contacts import Contacts as Contacts
+from vibrojax.results.energy import EnergyFlow as EnergyFlow
 from vibrojax.results.fold_curves import FoldCurve as FoldCurve
 from vibrojax.results.fold_curves import FoldCurves as FoldCurves
 from vibrojax.results.frequency_response import FrequencyResponse as FrequencyResponse
@@ -45,6 +53,7 @@ from vibrojax.results.resolution import ResolutionCheck as ResolutionCheck
 from vibrojax.results.single_contact_response import (
     SingleContactResponse as SingleContactResponse,
 )
+from vibrojax.results.spectrum import Spectrum as Spectrum
 from vibrojax.results.status import Status as Status
 from vibrojax.rig_file import read_rig as read_rig
 from vibrojax.rigs import default_rig as default_rig
