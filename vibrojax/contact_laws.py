@@ -198,7 +198,7 @@ class Hertz(AbstractContactLaw):
 
 
 class HuntCrossley(AbstractContactLaw):
-    """Contact with damping that grows with depth, F = stiffness d^exponent (1 + 3/2 dissipation d').
+    """Contact whose damping grows with depth: F = stiffness d^exponent (1 + 3/2 dissipation d').
 
     The force is zero at touch whatever the speed, and the stop never pulls. A free mass that
     comes with speed v leaves with u, where mu = 3/2 dissipation and

@@ -1,12 +1,12 @@
 """Time histories of one lane."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_choice, check_count, check_positive, concrete
 from vibrojax.drive import AbstractWaveform, Harmonic
@@ -101,6 +101,62 @@ def simulate(
     Raises `ValueError` for settings that contradict each other or cannot work, or a release that
     starts inside a stop. The history has a `status`; a solver that fails is flagged there.
     """
+    task = task_of(
+        system,
+        frequency=frequency,
+        frequency_ratio=frequency_ratio,
+        waveform=waveform,
+        periods=periods,
+        duration=duration,
+        samples_per_period=samples_per_period,
+        samples=samples,
+        sampling_rate=sampling_rate,
+        initial_state=initial_state,
+        release=release,
+        solver=solver,
+        stepsize_controller=stepsize_controller,
+        tolerance=tolerance,
+        gradient=gradient,
+        max_steps=max_steps,
+    )
+    return solve(task)
+
+
+class Task(NamedTuple):
+    """All that the integration of one lane needs."""
+
+    system: AbstractSystem
+    run: Motion
+    solver: diffrax.AbstractSolver
+    controller: diffrax.AbstractStepSizeController
+    adjoint: diffrax.AbstractAdjoint
+    times: Float[Array, " samples"]
+    state: Float[Array, " states"]
+    parts: int | None
+    """Equal steps in a sample interval; None where the controller chooses."""
+    max_steps: int | None
+
+
+def task_of(
+    system: AbstractSystem,
+    *,
+    frequency: ArrayLike | None,
+    frequency_ratio: ArrayLike | None,
+    waveform: AbstractWaveform | None,
+    periods: float | int | None,
+    duration: float | int | None,
+    samples_per_period: int,
+    samples: int | None,
+    sampling_rate: float | int | None,
+    initial_state: tuple[Any, ...] | None,
+    release: ArrayLike | None,
+    solver: diffrax.AbstractSolver | None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None,
+    tolerance: float,
+    gradient: str,
+    max_steps: int | None,
+) -> Task:
+    """Check what `simulate` was asked and get it ready. Raises `ValueError` as it says."""
     check_choice("gradient", gradient, ("reverse", "forward"))
     _check_waveform(system, frequency, frequency_ratio, waveform)
     if sampling_rate is not None:
@@ -125,18 +181,16 @@ def simulate(
             solver = ExactContact(solver.tolerance, solver.steps_per_period, ATTEMPTS)
         parts = math.ceil(solver.steps(run) / per_period)
         controller: diffrax.AbstractStepSizeController = diffrax.ConstantStepSize()
-        step, limit = length / (intervals * parts), intervals * parts + 16
     else:
-        size = jnp.max(jnp.abs(state)) + _static_size(system, run)
+        parts, size = None, jnp.max(jnp.abs(state)) + _static_size(system, run)
         controller = stepsize_controller or diffrax.PIDController(
             rtol=tolerance, atol=1e-3 * tolerance * size, dtmax=period / 40
         )
-        step, limit = None, 1_000_000
     adjoint = (
         diffrax.RecursiveCheckpointAdjoint() if gradient == "reverse" else diffrax.ForwardMode()
     )
-    return _solve(
-        as_arrays(system), run, solver, controller, adjoint, step, times, state, max_steps or limit
+    return Task(
+        as_arrays(system), run, solver, controller, adjoint, times, state, parts, max_steps
     )
 
 
@@ -218,23 +272,28 @@ def _static_size(system, run):
 
 
 @eqx.filter_jit
-def _solve(system, run, solver, controller, adjoint, step, times, state, max_steps):
+def solve(task: Task) -> History:
+    """Integrate one lane."""
+    step, limit = None, 1_000_000
+    if task.parts is not None:
+        steps = (len(task.times) - 1) * task.parts
+        step, limit = (task.times[-1] - task.times[0]) / steps, steps + 16
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(run.vector_field),
-        solver,
-        t0=times[0],
-        t1=times[-1],
+        diffrax.ODETerm(task.run.vector_field),
+        task.solver,
+        t0=task.times[0],
+        t1=task.times[-1],
         dt0=step,
-        y0=state,
-        args=run,
-        saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=controller,
-        adjoint=adjoint,
-        max_steps=max_steps,
+        y0=task.state,
+        args=task.run,
+        saveat=diffrax.SaveAt(ts=task.times),
+        stepsize_controller=task.controller,
+        adjoint=task.adjoint,
+        max_steps=task.max_steps or limit,
         throw=False,
     )
     states = jnp.asarray(solution.ys)
-    return History.of(system, run, times, states, solution.result)
+    return History.of(task.system, task.run, task.times, states, solution.result)
 
 
 def _check_waveform(system, frequency, frequency_ratio, waveform) -> None:

@@ -77,6 +77,25 @@ class FrequencyResponse(eqx.Module):
     """What was run: rig, settings, versions."""
 
     @property
+    def curves(self) -> tuple[str, ...]:
+        """Names of what there is over frequency."""
+        return (*CURVES, "receptance") if self.ratio_units == "m/N" else CURVES
+
+    @property
+    def receptance(self) -> Float[Array, "..."]:
+        """Displacement rms over force rms, m/N, of a system that a force drives.
+
+        The displacement counts from rest, so a mean that contact gives it is part of its rms.
+        Source: Ledezma-Ramirez et al., figs. 4 and 9. Raises `ValueError` where the base moves.
+        """
+        if self.ratio_units != "m/N":
+            raise ValueError(
+                "receptance needs a system that a force drives (PointForce): where the base moves, "
+                "use amplitude_ratio."
+            )
+        return self.rms_ratio * np.sqrt(2.0)
+
+    @property
     def peak_amplitude_ratio(self) -> float | Float[Array, "..."]:
         """Largest amplitude ratio of the curves, over the axes of the call."""
         return _highest(_highest(self.amplitude_ratio))
@@ -131,7 +150,7 @@ class FrequencyResponse(eqx.Module):
             return {"units": units.get(unit, unit), "long_name": long_name}
 
         data: dict[str, Any] = {
-            name: (dims, np.asarray(getattr(self, name)), described(name)) for name in CURVES
+            name: (dims, np.asarray(getattr(self, name)), described(name)) for name in self.curves
         }
         data["status"][2]["flag_values"] = [s.value for s in Status]
         data["status"][2]["flag_meanings"] = " ".join(s.name for s in Status)

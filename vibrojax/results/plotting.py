@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from vibrojax._checks import nearest
 from vibrojax.modes import Modes
-from vibrojax.results.frequency_response import CURVES, FrequencyResponse
+from vibrojax.results.frequency_response import FrequencyResponse
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES
 
@@ -76,8 +76,8 @@ def plot_frequency_response(
     Raises `ValueError` for a variable or axis that is not there, or when more than one axis is
     left.
     """
-    if variable not in CURVES:
-        raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, CURVES)}")
+    if variable not in response.curves:
+        raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, response.curves)}")
     directions = _directions(response, selection)
     index, chosen, left = _select(response, selection)
     if len(left) > 1:

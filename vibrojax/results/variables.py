@@ -14,6 +14,7 @@ VARIABLES = {
     "amplitude_ratio": Variable("ratio", "Half peak-to-peak displacement of the tip over drive"),
     "peak_ratio": Variable("ratio", "Largest displacement of the tip, either side, over drive"),
     "rms_ratio": Variable("ratio", "RMS displacement of the tip over drive amplitude"),
+    "receptance": Variable("m/N", "RMS displacement of the tip over RMS force"),
     "first_harmonic_ratio": Variable("ratio", "First harmonic amplitude of the tip over drive"),
     "contact_force": Variable("N", "Largest contact force"),
     "contact_fraction": Variable("1", "Share of the time in contact"),
