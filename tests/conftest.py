@@ -1,8 +1,14 @@
 """Shared set-up: shapes of every annotated array are checked while the tests run."""
 
 import gc
+import os
 import sys
 from pathlib import Path
+
+# What one worker compiled, the others and the next run need not compile again.
+CACHE = Path(__file__).parents[1] / ".pytest_cache" / "jax"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 from jaxtyping import install_import_hook
 

@@ -44,6 +44,7 @@ from vibrojax.results.energy import EnergyFlow as EnergyFlow
 from vibrojax.results.fold_curves import FoldCurve as FoldCurve
 from vibrojax.results.fold_curves import FoldCurves as FoldCurves
 from vibrojax.results.frequency_response import FrequencyResponse as FrequencyResponse
+from vibrojax.results.histories import Histories as Histories
 from vibrojax.results.history import History as History
 from vibrojax.results.identification import Identification as Identification
 from vibrojax.results.maps import plot_map as plot_map
@@ -78,6 +79,7 @@ from vibrojax.studies.maps.responses import SettledSweep as SettledSweep
 from vibrojax.studies.maps.store import StoreFull as StoreFull
 from vibrojax.studies.parameter_map import parameter_map as parameter_map
 from vibrojax.studies.resolution import check_resolution as check_resolution
+from vibrojax.studies.simulate_each import simulate_each as simulate_each
 from vibrojax.studies.single_contact import single_contact_response as single_contact_response
 from vibrojax.systems.base import AbstractEquations as AbstractEquations
 from vibrojax.systems.base import AbstractSystem as AbstractSystem

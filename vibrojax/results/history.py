@@ -238,8 +238,7 @@ class History(eqx.Module):
         from vibrojax.results.contacts import peak_of
 
         check_choice("quantity", quantity, tuple(QUANTITIES))
-        shape = None if quantity == "contact_force" else self._shape(position)
-        return peak_of(self, quantity, shape, start)
+        return peak_of(self, quantity, position, start)
 
     def energy(self) -> "EnergyFlow":
         """Return the energy of every mode and stop, and the losses and the input till then.
@@ -288,8 +287,8 @@ class History(eqx.Module):
         return plot_history(self, quantity, position)
 
     def __repr__(self) -> str:
-        samples, coordinates = self.coordinates.shape
+        *lanes, samples, coordinates = self.coordinates.shape
         head = f"History({samples} samples, {coordinates} coordinates"
-        if is_traced(self.time):
+        if is_traced(self.time) or lanes:
             return head + ")"
         return f"{head}, 0 to {float(self.time[-1]):.6g} s, {Status(int(self.status)).name})"
