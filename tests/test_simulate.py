@@ -94,6 +94,15 @@ def test_release_starts_from_the_static_shape_and_decays():
     np.testing.assert_allclose(np.asarray(history.coordinates), q, atol=1e-14)
 
 
+@pytest.mark.parametrize("solver", [vj.ExactContact(1e-8), vj.ExponentialSplitting(1e-3)])
+def test_an_undamped_mode_turns_at_its_own_frequency(rig, solver):
+    system = vj.ImpactingBeam(rig().beam, rig().stops, num_modes=1)
+    history = vj.simulate(system, release=-1e-4, periods=2, solver=solver)
+    assert history.status == vj.Status.completed.value
+    turn = 2 * np.pi * np.linspace(0, 2, 257)
+    np.testing.assert_allclose(history.displacement(), -1e-4 * np.cos(turn), atol=1e-12)
+
+
 def test_chirp_of_equal_ends_is_the_harmonic():
     rig = vj.default_rig()
     frequency = 1.1 * float(vj.modes(rig.beam).frequency[0])

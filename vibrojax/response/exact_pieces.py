@@ -75,8 +75,7 @@ def _drives(motion, start, duration):
 
 def begin_course(phases, phase, state, angle, rate, amplitude) -> Course:
     """Put states (states, lanes) of one phase into block coordinates."""
-    # Without a drive an undamped mode may lie on its frequency: then there is 0/0.
-    steady = jnp.where(amplitude == 0, 0.0, forced_blocks(phases, amplitude, rate)[phase])
+    steady = forced_blocks(phases, amplitude, rate)[phase]
     wave = steady.real * jnp.sin(angle) + steady.imag * jnp.cos(angle)
     blocks = phases.from_state[phase] @ state - phases.rest[phase][:, None] - wave
     return Course(blocks, steady, angle, rate)

@@ -189,9 +189,7 @@ def task_of(
     adjoint = (
         diffrax.RecursiveCheckpointAdjoint() if gradient == "reverse" else diffrax.ForwardMode()
     )
-    return Task(
-        as_arrays(system), run, solver, controller, adjoint, times, state, parts, max_steps
-    )
+    return Task(as_arrays(system), run, solver, controller, adjoint, times, state, parts, max_steps)
 
 
 def _grid(period, periods, duration, samples_per_period, samples, sampling_rate):

@@ -225,7 +225,8 @@ def forced_blocks(
     along = 1j * angular_frequency - decay[:, 0]
     across = 1j * angular_frequency - decay[:, 1]
     # (i W - block) Z = input, block = [[a, -b], [b, a]] or diag(a1, a2) with b = 0.
-    determinant = along * across + rate**2
+    # An undamped block may turn at the frequency of the clock where nothing drives.
+    determinant = jnp.where(amplitude == 0, 1.0, along * across + rate**2)
     first = (across * top - rate * bottom) / determinant
     second = (rate * top + along * bottom) / determinant
     return amplitude * jnp.concatenate([first, second], axis=1)

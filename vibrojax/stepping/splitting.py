@@ -87,7 +87,8 @@ def steady(
     omega, lanes = angular_frequency, angular_frequency.ndim
     w = spread(equations.angular_frequency, 1, lanes)
     zeta = spread(equations.damping_ratio, 1, lanes)
-    dynamic = w**2 - omega**2 + 2j * zeta * w * omega
+    # An undamped mode may turn at the frequency of the clock where nothing drives.
+    dynamic = jnp.where(amplitude == 0, 1.0, w**2 - omega**2 + 2j * zeta * w * omega)
     q = spread(equations.input_map, 1, lanes) * amplitude / dynamic
     still = jnp.zeros((equations.memory_size, *q.shape[1:]), q.dtype)
     return jnp.concatenate([q, 1j * omega * q, still])
