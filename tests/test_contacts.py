@@ -201,6 +201,7 @@ def test_rubber_agrees_with_its_matrix_exponential(strike):
     np.testing.assert_allclose(loss[-1], dashpot + kept, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tension", [True, False])
 def test_how_finely_one_samples_does_not_matter(tension):
     case = {"c1": 10.0, "x0": 0.01, "law": "printed" if tension else "no_tension"}
@@ -213,6 +214,7 @@ def test_how_finely_one_samples_does_not_matter(tension):
         np.testing.assert_allclose(coarse[name], fine[name], rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_coarse_samples_have_the_peaks_of_fine_ones():
     case = {"c1": 10.0, "x0": 0.01}
     coarse = released(case, samples_per_period=64, tolerance=1e-10)
@@ -229,6 +231,7 @@ def test_coarse_samples_have_the_peaks_of_fine_ones():
     assert abs(middle.value) == pytest.approx(abs(seen).max(), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_history_that_begins_and_ends_in_contact(oscillator):
     body = Body(
         oscillator(frequency=10.0, damping_ratio=0.01, stiffness=1e4, damping=1.0, gap=0.01)

@@ -43,6 +43,7 @@ def test_a_release_closes_to_rounding():
     assert (np.diff(energy.contact_loss, axis=0) > -1e-15).all()
 
 
+@pytest.mark.slow
 def test_stops_that_let_go_and_several_of_them():
     laws = (vj.KelvinVoigt(22e3, c, t) for c, t in ((20.0, False), (5.0, True), (3.0, False)))
     history = vj.simulate(soft_rig(stops=several(*laws)), **RELEASE)
@@ -55,6 +56,7 @@ def test_stops_that_let_go_and_several_of_them():
     assert (np.diff(contacts.touch) > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", [vj.PointForce(12.0, 0.175), vj.BaseMotion(1e-3)])
 def test_driven_motions_close(drive):
     rig = soft_rig(10.0, drive=drive)
@@ -66,6 +68,7 @@ def test_driven_motions_close(drive):
     check(history.energy(), 1e-7)
 
 
+@pytest.mark.slow
 def test_work_is_force_times_path(oscillator):
     """Without stop and damping the energy is the work, here of a force known in closed form."""
     equations = oscillator(frequency=10.0, gap=1.0)
@@ -83,6 +86,7 @@ def test_work_is_force_times_path(oscillator):
     assert energy.beam_loss[-1].sum() == 0
 
 
+@pytest.mark.slow
 def test_a_free_beam_loses_what_its_modes_lose():
     energy = vj.simulate(soft_rig(), release=0.003, duration=0.1, samples_per_period=256).energy()
     assert energy.contact_loss[-1, 0] == 0
@@ -90,6 +94,7 @@ def test_a_free_beam_loses_what_its_modes_lose():
     np.testing.assert_allclose(held, np.broadcast_to(held[0], held.shape), rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_coupled_damping_is_counted_whole():
     mass, stiffness = np.eye(2), np.array([[200.0, -100.0], [-100.0, 300.0]])
     damping = np.array([[0.4, -0.4], [-0.4, 1.0]]) * np.array([[1.0, 0.2], [0.2, 1.0]])
@@ -139,6 +144,7 @@ def test_laws_of_all_kinds_driven_by_a_chirp():
     check(history.energy(), 1e-6)
 
 
+@pytest.mark.slow
 def test_rounded_corners_close_too():
     law = vj.KelvinVoigt(22e3, 10.0)
     rounded = vj.Stop(1.0, 4e-3, law, side=-1, smoothing=4e-6)

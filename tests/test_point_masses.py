@@ -159,6 +159,7 @@ ROUND = [(0.5, 0.175), (0.1, 1.0), (0.3, 0.3), (1.0, 1.0), (0.5 + 2e-7, 0.812)]
 MASSES = np.array([0.4, 0.8])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("taper", [0.0, 0.5])
 @pytest.mark.parametrize("positions", ROUND)
 def test_gradients(taper, positions):
@@ -209,6 +210,7 @@ STACKED = jax.tree.map(
 )
 
 
+@pytest.mark.slow
 def test_mapped_over_positions():
     frequency, slope = jax.jit(jax.vmap(jax.value_and_grad(first_frequency)))(STACKED)
     for i, places in enumerate(PLACES):

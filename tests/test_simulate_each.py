@@ -39,6 +39,7 @@ def test_every_lane_is_that_of_a_single_call(make):
         found.at(gab=1.0)
 
 
+@pytest.mark.slow
 def test_releases_and_frequencies_are_axes_too(make):
     free = vj.simulate_each(
         lambda gap: vj.ImpactingBeam(make().beam, make(gap).stops, num_modes=2),

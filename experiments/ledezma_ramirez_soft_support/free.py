@@ -12,9 +12,12 @@ import vibrojax as vj
 RECORD, SPAN = 3.2, 500.0
 RATE = 4 * 2.56 * SPAN
 FINE_RATE = 65536.0
+FIRST = {"release": 10e-3, "duration": 0.06, "sampling_rate": FINE_RATE}
 BEFORE_TOUCH = 0.015
 """s; the release itself is over by then, and the first touch comes at 0.021 s."""
 ALLOWED = 0.03
+OUT_OF_REACH = 1.0
+"""m of gap: as if there were no support."""
 MAXWELL = 3.0
 """Stiffness of the Maxwell element of the rubber over the slow one: the least that loses enough."""
 
@@ -30,16 +33,23 @@ class Release(NamedTuple):
     """g, after the start."""
 
 
-def releases() -> list[Release]:
+def releases() -> tuple[list[Release], dict[str, vj.EnergyFlow]]:
+    """Return the seven releases, and the energies of the last with and without the support."""
     histories = vj.simulate_each(
-        rig.released_rig(), release=RELEASES, duration=RECORD, sampling_rate=RATE
+        rig.released_rig(),
+        release=RELEASES,
+        gap=[rig.GAP, OUT_OF_REACH],
+        duration=RECORD,
+        sampling_rate=RATE,
     )
     found = []
-    for height, history in zip(RELEASES, histories, strict=True):
+    for height in RELEASES:
+        history = histories.at(release=height, gap=rig.GAP)
         spectrum = history.spectrum("acceleration", window="boxcar", span=SPAN, units="g")
         peak = peak_in_g(part(history, 0.0, 1.0), start=BEFORE_TOUCH)
         found.append(Release(height, history, history.contacts(), spectrum, peak))
-    return found
+    free = histories.at(release=RELEASES[-1], gap=OUT_OF_REACH)
+    return found, {"with": found[-1].history.energy(), "without": free.energy()}
 
 
 def table_of_releases(found: list[Release]) -> list[dict]:
@@ -93,26 +103,30 @@ def range_of_damping(table: dict[str, list[float]]) -> dict[str, list[float] | b
     }
 
 
-def rubber_laws(quick: bool = False) -> dict:
-    """Laws without a jump at touch that take the energy of the first contact which ours takes."""
-    first = {"release": 10e-3, "duration": 0.03}
-    wanted = vj.simulate(rig.released_rig()(), **first, sampling_rate=RATE, gradient="forward")
-    loss = float(wanted.contacts().energy_lost[0])
-    times = [0.13e-3, 0.18e-3] if quick else [0.1e-3, 0.13e-3, 0.16e-3, 0.2e-3, 0.3e-3]
-    rates = [1.0, 1.5] if quick else [0.6, 1.0, 1.3, 1.5, 2.0]
-    laws = {"relaxation_time_s": (solid, times), "dissipation_s_per_m": (crossley, rates)}
+def rubber_laws(loss: float) -> dict:
+    """Laws without a jump at touch that take this energy, J, in the first contact of 10 mm."""
+    laws = {
+        "relaxation_time_s": (solid, [0.1e-3, 0.13e-3, 0.16e-3, 0.2e-3, 0.3e-3]),
+        "dissipation_s_per_m": (crossley, [0.6, 1.0, 1.3, 1.5, 2.0]),
+    }
     found: dict = {"loss_J": loss, "maxwell_stiffness_N_per_m": MAXWELL * STIFFNESS}
     for name, (law, values) in laws.items():
         histories = vj.simulate_each(
-            lambda value, law=law: rig.stopped_by(law(value)),
-            value=values,
-            **first,
-            sampling_rate=16384.0,
+            lambda value, law=law: rig.stopped_by(law(value)), value=values, **FIRST
         )
-        losses = [float(h.contacts().energy_lost[0]) for h in histories]
+        losses = [_first_loss(history) for history in histories]
         found[name] = float(np.interp(loss, losses, values))
         found[name + "_tried"] = {"values": values, "loss_J": losses}
     return found
+
+
+def _first_loss(history: vj.History) -> float:
+    """Return the work of the first contact on the beam, J, off samples: its force has no jump."""
+    power = np.asarray(history.quantity("contact_force") * history.velocity())
+    touching = np.flatnonzero(power)
+    apart = np.flatnonzero(np.diff(touching) > 1e-3 * FINE_RATE)
+    first = power[touching[0] : touching[apart[0]] + 2 if len(apart) else None]
+    return float(-np.trapezoid(first) / FINE_RATE)
 
 
 def solid(relaxation_time) -> vj.StandardLinearSolid:
@@ -125,18 +139,20 @@ def crossley(dissipation) -> vj.HuntCrossley:
 
 def against_modes(counts: list[int], rubber: dict) -> dict[str, dict[str, list[float]]]:
     """Peaks of the 10 mm release against the number of modes, for every contact law."""
-    time, dissipation = rubber["relaxation_time_s"], rubber["dissipation_s_per_m"]
     laws = {
         "Kelvin-Voigt, c1 = 0": vj.KelvinVoigt(STIFFNESS, 0.0),
         f"Kelvin-Voigt, c1 = {CONTACT_DAMPING:g} N s/m": vj.KelvinVoigt(STIFFNESS, CONTACT_DAMPING),
-        "standard linear solid": solid(time),
-        "Hunt-Crossley": crossley(dissipation),
     }
+    if rubber:
+        laws["standard linear solid"] = solid(rubber["relaxation_time_s"])
+        laws["Hunt-Crossley"] = crossley(rubber["dissipation_s_per_m"])
     table: dict[str, dict[str, list[float]]] = {}
-    settings = {"release": 10e-3, "duration": 0.06, "sampling_rate": FINE_RATE}
-    settings["gradient"] = "forward"  # compiles three times faster
     for name, law in laws.items():
-        rows = [_peaks(vj.simulate(rig.stopped_by(law, n), **settings)) for n in counts]
+        # gradient="forward" compiles three times faster
+        histories = (
+            vj.simulate(rig.stopped_by(law, n), **FIRST, gradient="forward") for n in counts
+        )
+        rows = [_peaks(history) for history in histories]
         table[name] = {"modes": counts} | {key: [row[key] for row in rows] for key in rows[0]}
     return table
 
@@ -161,14 +177,6 @@ def _peaks(history: vj.History) -> dict[str, float]:
         "force_N": float(force.max()),
         "release_g": float(np.abs(np.asarray(history.acceleration())[0]) / rig.GRAVITY),
     }
-
-
-def energies(duration: float = 3.2) -> dict[str, vj.EnergyFlow]:
-    """Energy of the 10 mm release with the support, and with it out of reach."""
-    histories = vj.simulate_each(
-        rig.released_rig(), gap=[rig.GAP, 1.0], release=10e-3, duration=duration, sampling_rate=RATE
-    )
-    return {"with": histories[0].energy(), "without": histories[1].energy()}
 
 
 def decay_time(energy: vj.EnergyFlow, share: float) -> float:

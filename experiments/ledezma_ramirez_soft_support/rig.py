@@ -75,14 +75,13 @@ def linear_receptance(frequency, damping_ratio: float = DAMPING_RATIO, num_modes
 def frequencies() -> dict:
     """Natural frequencies, and what masses, lengths or springs would do to the first of them."""
     computed = np.asarray(vj.modes(beam(), 5).frequency)
-    masses = {f"tip {grams} g": (grams * 1e-3, 1.0) for grams in (1, 2, 5)}
-    masses |= {f"70 mm {grams} g": (grams * 1e-3, FORCE_POSITION) for grams in (20, 40)}
-    masses["tip 2 g and 70 mm 30 g"] = (2e-3, 1.0), (30e-3, FORCE_POSITION)
+    masses = {f"tip {grams} g": (grams, 0) for grams in (1, 2, 5)}
+    masses |= {f"70 mm {grams} g": (0, grams) for grams in (20, 40)}
+    masses["tip 2 g and 70 mm 30 g"] = (2, 30)
     shifted = {}
-    for name, given in masses.items():
-        pairs = given if isinstance(given[0], tuple) else (given,)
-        found = vj.modes(beam(*(vj.PointMass(*pair) for pair in pairs)), 5)
-        shifted[name] = np.asarray(found.frequency).round(4).tolist()
+    for name, (tip, head) in masses.items():
+        both = vj.PointMass(1e-3 * tip, 1.0), vj.PointMass(1e-3 * head, FORCE_POSITION)
+        shifted[name] = np.asarray(vj.modes(beam(*both), 5).frequency).round(4).tolist()
     measured = PRINTED["frequency"]["experiment"]
     ratio = measured / computed[0]
     found = vj.modes(beam(), 12)
