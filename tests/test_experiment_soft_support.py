@@ -75,6 +75,7 @@ def test_the_readme_quotes_the_kept_results():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_quick_run(tmp_path):
     # In a process of its own: other experiments have modules of the same names.
     command = [sys.executable, str(FOLDER / "run.py"), "--quick", "--output", str(tmp_path)]
