@@ -149,7 +149,7 @@ def test_histories_go_on_from_where_another_ended(beam):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", [pytest.param("hertz", marks=pytest.mark.long), "hunt_crossley", "rubber"]
+    "name", [*(pytest.param(n, marks=pytest.mark.long) for n in SMOOTH), "rubber"]
 )
 def test_sweep_shooting_and_balance_find_the_same_motion(beam, name):
     system = beam(LAWS[name])
@@ -209,7 +209,8 @@ def test_negative_numbers_are_refused(make, sentence):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", [*SMOOTH, *(pytest.param(n, marks=pytest.mark.long) for n in LAWS if n not in SMOOTH)]
+    "name",
+    [pytest.param(n, marks=() if n == "hunt_crossley" else pytest.mark.long) for n in LAWS],
 )
 def test_gradients_of_a_history(beam, name):
     def energy(scale, gradient):

@@ -22,6 +22,7 @@ def study(folder):
     return subprocess.run(command, check=True, capture_output=True, text=True, timeout=600).stdout
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_quick_study(tmp_path):
     assert "16 of 16 lanes computed" in study(tmp_path)

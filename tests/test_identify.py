@@ -163,6 +163,7 @@ def test_an_early_jump_biases_nothing_and_is_named(make, name):
     assert any("forward sweep jumped early" in w for w in fit.warnings)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_gap_too(make, name):
     fit = vj.identify(make, measured(4, name=name), GUESS | dict(gap=0.7e-3))
@@ -174,6 +175,7 @@ def test_the_gap_too(make, name):
     np.testing.assert_allclose(profile.interval, fit.interval["gap"], rtol=0.005)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_wrong_model_is_noticed(rig, name):
     def printed(stiffness=5500.0, damping=5e-5):
@@ -196,6 +198,7 @@ def test_shared_and_private_numbers(make, name):
     assert fit.standard_deviation["stiffness"] < 0.9 * one.standard_deviation["stiffness"]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_posterior_agrees_with_the_interval(make, name):
     pytest.importorskip("blackjax")

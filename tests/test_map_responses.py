@@ -49,6 +49,7 @@ def branches():
     )
 
 
+@pytest.mark.long
 @pytest.mark.slow  # to compile
 def test_branches_are_those_of_single_calls(branches):
     assert branches.amplitude_ratio.dims == ("gap", "crossing", "frequency_ratio")
@@ -84,6 +85,7 @@ def assert_difference(make, found, names, numbers, at, step=1e-4, rtol=2e-3):
             )
 
 
+@pytest.mark.long
 @pytest.mark.slow  # to compile
 def test_derivatives_along_branches(branches):
     def make(**changed):
@@ -113,6 +115,7 @@ def area_under(curve):
     return jnp.trapezoid(curve["amplitude_ratio"][0], curve["frequency_ratio"])
 
 
+@pytest.mark.long
 @pytest.mark.slow  # to compile
 def test_derivatives_of_sweeps():
     measures = {"area_under": area_under, "peak": lambda c: jnp.nanmax(c["amplitude_ratio"])}

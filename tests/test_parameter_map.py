@@ -146,6 +146,7 @@ def test_measures_of_ones_own():
     np.testing.assert_allclose(found.reach, wanted * rig().modes().frequency[0], rtol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.slow  # compiles for each number of modes
 def test_texts_and_structure_as_axes():
     found = vj.parameter_map(

@@ -152,6 +152,7 @@ def finite_differences(function, x, step=1e-6):
     return np.array([float(one(i)) for i in range(x.size)])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_gradients_of_a_history_match_finite_differences():
     expected = finite_differences(loss, POINT)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from vibrojax.contact import Stop
 from vibrojax.stepping.splitting import contact_of, drift, kick, steady, steps_for
-from vibrojax.systems.base import LinearEquations, Motion, stop_forces
+from vibrojax.systems.base import LinearEquations, Motion, memory_by_stop, stop_forces
 
 lax = jax.lax
 
@@ -94,11 +94,8 @@ _steps = jax.jit(steps_for)
 
 def _per_stop(stops: tuple[Stop, ...], read, depth, rate, memory):
     """Read each stop with the memory that it has."""
-    held = iter(range(memory.shape[0]))
-    values = [
-        read(s, depth[i], rate[i], memory[next(held)] if s.has_memory else None)
-        for i, s in enumerate(stops)
-    ]
+    kept = memory_by_stop(stops, memory)
+    values = [read(s, depth[i], rate[i], kept[i]) for i, s in enumerate(stops)]
     return jnp.stack(values) if values else jnp.zeros_like(depth)
 
 

@@ -241,7 +241,7 @@ def stop_forces(
     memory: Float[Array, "memories *lanes"] | None = None,
 ) -> Float[Array, "stops *lanes"]:
     """Return the rounded force of each stop, N, from depths (m), their rates and memories."""
-    kept = _by_stop(stops, memory)
+    kept = memory_by_stop(stops, memory)
     forces = [s.force(depth[i], rate[i], kept[i]) for i, s in enumerate(stops)]
     return jnp.stack(forces) if forces else jnp.zeros_like(depth)
 
@@ -253,7 +253,7 @@ def memory_rates(
     memory: Float[Array, "memories *lanes"],
 ) -> Float[Array, "memories *lanes"]:
     """Return how fast the memories of the stops change, per s."""
-    kept = _by_stop(stops, memory)
+    kept = memory_by_stop(stops, memory)
     rates = [
         stop.memory_rate(depth[i], rate[i], held)
         for i, (stop, held) in enumerate(zip(stops, kept, strict=True))
@@ -262,8 +262,10 @@ def memory_rates(
     return jnp.stack(rates) if rates else jnp.zeros_like(memory)
 
 
-def _by_stop(stops: tuple[Stop, ...], memory: Array | None) -> list[Array | None]:
-    """Memory of every stop, None for those without."""
+def memory_by_stop(
+    stops: tuple[Stop, ...], memory: Float[Array, "memories *lanes"] | None
+) -> list[Float[Array, "*lanes"] | None]:
+    """Return the memory of every stop, None for those without."""
     if memory is None:
         return [None] * len(stops)
     held = iter(range(memory.shape[0]))

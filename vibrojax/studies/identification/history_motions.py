@@ -162,6 +162,7 @@ def _states(rig: Rig, exact: bool, state, times: Float[Array, " samples"]):
 def _signals(rig: Rig, plan: Plan, times, states) -> Float[Array, "channels samples"]:
     """What the sensors show."""
     motion = _motion(rig)
+    equations = motion.sharp_equations()
     moving = plan.absolute and isinstance(rig.drive, BaseMotion)
     base = rig.drive.amplitude if isinstance(rig.drive, BaseMotion) and moving else 0.0
     w = rig.angular_frequency
@@ -177,10 +178,10 @@ def _signals(rig: Rig, plan: Plan, times, states) -> Float[Array, "channels samp
                 shown.append(rig.sensor @ v + base * w * jnp.cos(angle))
             elif name == "acceleration":
                 push = rig.drive.input(motion.waveform, time)
-                a = rig.sensor @ rig.equations.acceleration(q, v, push)
+                a = rig.sensor @ equations.acceleration(q, v, push)
                 shown.append(a - base * w**2 * jnp.sin(angle))
             else:
-                shown.append(jnp.sum(rig.equations.contact_forces(q, v)))
+                shown.append(jnp.sum(equations.contact_forces(q, v)))
         return jnp.stack(shown)
 
     return jax.vmap(read)(times, states).T
