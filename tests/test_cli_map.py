@@ -387,14 +387,14 @@ def test_a_rig_file_may_carry_a_map(folder):
 
 
 def test_example_names_every_key(asked):
-    from vibrojax.rig_file import _MAP_KEYS, _SPACED_KEYS
+    from vibrojax.rig_file_keys import MAP_KEYS, SPACED_KEYS
 
     text = EXAMPLE.read_text()
     lines = [line.removeprefix("# ") for line in text.split("\n")]
-    for name in _MAP_KEYS:
+    for name in MAP_KEYS:
         if name not in ("axes", "zipped"):
             assert any(line.startswith(f"{name} = ") for line in lines), name
-    for word in (*(f"{name} = " for name in _SPACED_KEYS), "[map.axes]", "[[map.zipped]]"):
+    for word in (*(f"{name} = " for name in SPACED_KEYS), "[map.axes]", "[[map.zipped]]"):
         assert word in text
     settings = told(asked, str(EXAMPLE))
     assert len(settings["gap"]) == 9

@@ -112,6 +112,7 @@ def test_coupled_damping_is_counted_whole():
     assert energy.beam_loss[-1].sum() > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_other_laws_close_too(law):
     stops = several(LAWS[law])

@@ -72,6 +72,7 @@ def shifted():
     return misfit(time, signals, frequency_ratio=1.1), -19 * time[1]
 
 
+@pytest.mark.slow
 def test_shifted_steady_motion_is_found(shifted):
     target, shift = shifted
     residual, _ = at(TRUE, target)

@@ -119,6 +119,7 @@ def test_a_map_is_made_again_from_its_attributes_alone(crossed):
     assert crossed.attrs["jax_version"] == jax.__version__
 
 
+@pytest.mark.slow
 def test_one_frequency_is_no_axis():
     found = vj.parameter_map(
         rig, frequency_ratio=1.1, gap=GAPS, taper=0.5, response=vj.SettledSweep("forward")
@@ -204,6 +205,7 @@ def test_new_numbers_do_not_compile_again(crossed):
     assert not compiled
 
 
+@pytest.mark.slow
 def test_dry_run_says_what_it_takes_and_makes_nothing(tmp_path):
     plan = vj.parameter_map(
         rig,
@@ -223,6 +225,7 @@ def test_dry_run_says_what_it_takes_and_makes_nothing(tmp_path):
     assert not (tmp_path / "map.zarr").exists()
 
 
+@pytest.mark.slow
 def test_memory_bounds_the_chunks():
     def planned(memory):
         return vj.parameter_map(

@@ -187,6 +187,7 @@ def test_forward_and_reverse_gradients_agree(positions):
         np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("positions", [(0.5, 0.1), (0.3, 1.0), (0.2, 0.2)])
 def test_gradient_of_frequency_is_that_of_rayleigh(positions):
     positions = np.array(positions)

@@ -60,6 +60,7 @@ def test_force_gradient_beats_the_plain_kick():
     assert np.max(np.abs(fine - state)[:5]) / size < 2e-4
 
 
+@pytest.mark.slow
 def test_two_stops_at_once_and_lanes_like_a_loop():
     stops = tuple(
         vj.Stop(s, 0.4e-3, vj.KelvinVoigt(5500.0, 0.05), side=side)
