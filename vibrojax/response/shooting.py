@@ -15,7 +15,13 @@ from vibrojax.response.methods import Shooting
 from vibrojax.results.periodic_response import PeriodicResponse, Sampled, reading_of
 from vibrojax.stepping.elementary import cubic_maximum
 from vibrojax.stepping.method import ExactContact, ExponentialSplitting
-from vibrojax.systems.base import AbstractEquations, AbstractSystem, LinearEquations, Motion
+from vibrojax.systems.base import (
+    AbstractEquations,
+    AbstractSystem,
+    LinearEquations,
+    Motion,
+    touching_stops,
+)
 
 SETTLING = 200
 """Drive periods marched from rest for a first guess."""
@@ -142,8 +148,7 @@ def _read(place: _Place, states: Any, steps_per_period: int, period: int) -> Sam
         q, v, memory = equations.split(state)
         response, rate = jax.jvp(equations.response, (q,), (v,))
         forces = equations.contact_forces(q, v, memory)
-        lagging = jnp.asarray([stop.has_memory for stop in equations.stops], bool)
-        touching = (equations.penetration(q) > 0) & (~lagging | (forces > 0))
+        touching = touching_stops(equations.stops, equations.penetration(q), forces)
         return response, rate, forces, touching
 
     response, rate, forces, touching = jax.vmap(at)(states)

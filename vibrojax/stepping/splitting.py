@@ -25,6 +25,7 @@ from vibrojax.systems.base import (
     contact_slope,
     memory_rates,
     stop_forces,
+    touching_stops,
 )
 
 lax = jax.lax
@@ -270,8 +271,6 @@ def march(
     tip_forced = jnp.sum(tip * forced[:modes], axis=0)
     turn = angular_frequency * h
     spin = jnp.cos(turn), jnp.sin(turn)
-    lagging = np.array([stop.has_memory for stop in contact.stops], bool)
-    lagging = lagging.reshape((-1,) + (1,) * lanes)
 
     def real(value, wave):
         return value.real * wave[0] + value.imag * wave[1]
@@ -283,10 +282,6 @@ def march(
     def tips(q, v, wave):
         y = jnp.sum(tip * q, axis=0) + real(tip_forced, wave)
         return y, jnp.sum(tip * v, axis=0) + real(1j * angular_frequency * tip_forced, wave)
-
-    def touching(depth, force):
-        # The surface of a stop with memory may not be back yet where the body comes again.
-        return (depth > 0) & (~lagging | (force > 0))
 
     def one(i, carry, live):
         # The carry stands in the middle of step i, just before its kick.
@@ -311,7 +306,8 @@ def march(
                 f1, k1, _ = forces(contact, depth1, rate1, memory1)
                 peak = cubic_maximum(f0, k0 * rate * h, f1, k1 * rate1 * h)
                 force = jnp.max(peak, axis=0)
-                here, there = touching(depth, f0), touching(depth1, f1)
+                here = touching_stops(contact.stops, depth, f0)
+                there = touching_stops(contact.stops, depth1, f1)
                 touches = jnp.any(here, axis=0)
                 entered = jnp.sum(~here & there, axis=0, dtype=jnp.int32)
             angle = (i + 0.5) * turn

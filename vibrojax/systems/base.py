@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive, AbstractWaveform
@@ -260,6 +261,19 @@ def memory_rates(
         if held is not None
     ]
     return jnp.stack(rates) if rates else jnp.zeros_like(memory)
+
+
+def touching_stops(
+    stops: tuple[Stop, ...],
+    depth: Float[Array, "stops *lanes"],
+    force: Float[Array, "stops *lanes"],
+) -> Bool[Array, "stops *lanes"]:
+    """Return which stops are touched, from depths (m) and forces (N).
+
+    The surface of a stop with memory may not be back yet where the body comes again.
+    """
+    lagging = np.array([stop.has_memory for stop in stops], bool)
+    return (depth > 0) & (~lagging.reshape((-1,) + (1,) * (depth.ndim - 1)) | (force > 0))
 
 
 def memory_by_stop(
