@@ -103,7 +103,8 @@ def _monodromy(place: Place, at, interval):
     if equations.damping_coupling is not None:
         damping = damping + equations.damping_coupling
     unit = w[0]
-    flight = jnp.block([[jnp.zeros((n, n)), unit * jnp.eye(n)], [-jnp.diag(w**2) / unit, -damping]])
+    stiffness = jnp.diag(equations.modal_stiffness)
+    flight = jnp.block([[jnp.zeros((n, n)), unit * jnp.eye(n)], [-stiffness / unit, -damping]])
     flight = jax.scipy.linalg.expm(flight * interval)
     # The slope in the change of depth per sample is one in the rate, over the interval.
     stiffness, rate = at.stiffness * interval / unit, at.damping * interval * interval

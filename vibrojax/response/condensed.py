@@ -53,7 +53,7 @@ def _transfer(equations: LinearEquations, w: Float[Array, " harmonics"], rows):
     coupling = equations.damping_coupling
     if coupling is None:
         natural, zeta = equations.angular_frequency, equations.damping_ratio
-        stiff = natural[:, None] ** 2 - w**2
+        stiff = equations.modal_stiffness[:, None] - w**2
         compliance = 1.0 / (stiff + 2j * (zeta * natural)[:, None] * w)
         return jnp.einsum("ri,ic,ik->rck", rows, columns, compliance)
     poles, left, right = _flight_poles(equations, coupling, rows, columns)
@@ -64,9 +64,9 @@ def _flight_poles(equations: LinearEquations, coupling: Array, rows, columns):
     """Poles of the unstopped system with coupled damping, and the two factors of its residues."""
     n = equations.size
     unit = equations.angular_frequency[0]
-    w = equations.angular_frequency / unit
+    w, stiffness = equations.angular_frequency / unit, equations.modal_stiffness / unit**2
     coupled = jnp.diag(2 * equations.damping_ratio * w) + coupling / unit
-    matrix = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [-jnp.diag(w**2), -coupled]])
+    matrix = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [-jnp.diag(stiffness), -coupled]])
     values, vectors = _eigen(matrix)
     input_of = jnp.concatenate([jnp.zeros_like(columns), columns / unit]).astype(vectors.dtype)
     return values * unit, rows @ vectors[:n], jnp.linalg.solve(vectors, input_of)

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from vibrojax._trigonometry import cosine
 from vibrojax.drive import AbstractDrive
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks
-from vibrojax.stepping.elementary import cosine
 
 lax = jax.lax
 

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from vibrojax._trigonometry import cosine
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks
-from vibrojax.stepping.elementary import cosine
 from vibrojax.systems.base import LinearEquations, Motion
 
 MOST_ROUNDS = 64

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from vibrojax._trigonometry import cosine
 from vibrojax.response.contact_times import Course, Events, Tables
-from vibrojax.stepping.elementary import cosine, cubic_maximum
+from vibrojax.stepping.elementary import cubic_maximum
 
 lax = jax.lax
 

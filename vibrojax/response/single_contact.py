@@ -22,11 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
+from vibrojax._trigonometry import cosine
 from vibrojax.contact_laws import can_pull, linear_coefficients
 from vibrojax.drive import AbstractDrive
 from vibrojax.response.contact_times import Tables, tables_of
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
-from vibrojax.stepping.elementary import cosine
 from vibrojax.systems.base import AbstractEquations, LinearEquations
 
 lax = jax.lax

@@ -126,7 +126,7 @@ def energy_of(history: "History") -> EnergyFlow:
     time, states = samples_of(history, "energies")
     between = flow(history.motion, time, states)
     equations = history.motion.equations
-    frequency = np.asarray(equations.angular_frequency)  # pyright: ignore[reportAttributeAccessIssue]
+    stiffness = np.asarray(equations.modal_stiffness)  # pyright: ignore[reportAttributeAccessIssue]
     mass = np.asarray(equations.modal_mass)  # pyright: ignore[reportAttributeAccessIssue]
     n = mass.size
     q, rate = states[:, :n], states[:, n : 2 * n]
@@ -137,7 +137,7 @@ def energy_of(history: "History") -> EnergyFlow:
 
     return EnergyFlow(
         time=time,
-        modal_energy=mass * (rate**2 + (frequency * q) ** 2) / 2,
+        modal_energy=mass * (rate**2 + stiffness * q**2) / 2,
         stop_energy=between.stop_energy,
         beam_loss=cumulated(between.beam_loss),
         contact_loss=cumulated(between.contact_loss),

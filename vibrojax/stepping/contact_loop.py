@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from vibrojax._trigonometry import cosine
 from vibrojax.stepping.contact_phases import ContactPhases, spread
-from vibrojax.stepping.elementary import apply_matrix, computed_once, cosine, cubic_maximum
+from vibrojax.stepping.elementary import apply_matrix, computed_once, cubic_maximum
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.measures import Measures, Segment, no_measures
 

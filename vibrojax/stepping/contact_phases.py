@@ -120,7 +120,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     gap = column([stop.gap for stop in stops])
     # Time in units of the first mode keeps positions and rates of like size in the eigenproblem.
     unit = equations.angular_frequency[0]
-    w = equations.angular_frequency / unit
+    w, flight_stiffness = equations.angular_frequency / unit, equations.modal_stiffness / unit**2
     places, pushes = equations.stop_map, equations.force_map / unit**2
     scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)])
     flight_damping = jnp.diag(2 * equations.damping_ratio * w)
@@ -129,7 +129,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
 
     def one(touching):
         push = pushes * touching
-        lower_q = -jnp.diag(w**2) - (push * stiffness) @ places
+        lower_q = -jnp.diag(flight_stiffness) - (push * stiffness) @ places
         lower_v = -flight_damping - (push * damping * unit) @ places
         matrix = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [lower_q, lower_v]])
         values, vectors = _eigen(matrix)

@@ -1,33 +1,13 @@
 """Small numerical pieces shared by the steppers."""
 
-import math
 from collections.abc import Callable
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 T = TypeVar("T")
-
-_COSINE = [(-1) ** n / math.factorial(2 * n) for n in range(11)]
-
-
-def cosine(angle: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Cosine to round-off for angles up to some thousands of radians.
-
-    One polynomial after reduction to half a turn. XLA calls the scalar library cosine for float64
-    on a CPU, nine times slower than this, which it vectorises.
-    """
-    turns = jnp.round(jax.lax.stop_gradient(angle) * (1 / np.pi))
-    rest = (angle - turns * np.pi) - turns * 1.2246467991473532e-16
-    square = rest * rest
-    value = jnp.full_like(square, _COSINE[-1])
-    for coefficient in _COSINE[-2::-1]:
-        value = value * square + coefficient
-    half = turns * 0.5
-    return value * (1.0 - 4.0 * (half - jnp.floor(half)))
 
 
 def computed_once(tick: Int[Array, ""], compute: Callable[[], T]) -> T:

@@ -86,6 +86,28 @@ class AbstractEquations(eqx.Module):
     def response(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
         """Return the displacement that a frequency response reports, m (the tip, say)."""
 
+    @property
+    def coordinate_units(self) -> str:
+        """Unit of the coordinates."""
+        return "m"
+
+    def observables(self, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
+        """Return what can be watched of a motion, by name, in SI units.
+
+        `displacement` (the response) and `strain_energy` of every system, and what else it has.
+        """
+        return {"displacement": self.response(q), "strain_energy": self.strain_energy(q)}
+
+    def strain_energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
+        """Return q' K q / 2, J."""
+        return q @ self.linear_force(q, jnp.zeros_like(q)) / 2
+
+    def mass_times(
+        self, q: Float[Array, " coordinates"], vector: Float[Array, " coordinates"]
+    ) -> Float[Array, " coordinates"]:
+        """Return M(q) times a vector; a system may do it without forming M."""
+        return self.mass(q) @ vector
+
     def contact_forces(
         self,
         q: Float[Array, " coordinates"],
@@ -128,6 +150,14 @@ class AbstractEquations(eqx.Module):
         return jnp.linalg.solve(self.mass(q), total)
 
 
+class AbstractGauge(eqx.Module):
+    """Reads what can be watched off modal coordinates, beyond the displacement and the energy."""
+
+    @abstractmethod
+    def __call__(self, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
+        """Return values by name, in SI units."""
+
+
 class LinearEquations(AbstractEquations):
     """Modal equations of a body that is linear but for its stops.
 
@@ -156,6 +186,10 @@ class LinearEquations(AbstractEquations):
 
     None where the damping does not couple the modes.
     """
+    stiffness_sign: Float[Array, "coordinates *lanes"] | None = None
+    """-1 for a mode that falls away from rest, whose stiffness is -w_i^2, else 1; None: all 1."""
+    gauge: AbstractGauge | None = None
+    """What reads further observables off the coordinates."""
 
     @property
     def size(self) -> int:
@@ -170,8 +204,13 @@ class LinearEquations(AbstractEquations):
         self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
     ) -> Float[Array, " coordinates"]:
         """Return C q' + K q."""
-        w = self.angular_frequency
-        return self.modal_mass * (self._damping(rate) + w**2 * q)
+        return self.modal_mass * (self._damping(rate) + self.modal_stiffness * q)
+
+    @property
+    def modal_stiffness(self) -> Float[Array, "coordinates *lanes"]:
+        """Stiffness over mass of every mode, 1/s2: w_i^2, less than 0 where it falls away."""
+        square = self.angular_frequency**2
+        return square if self.stiffness_sign is None else self.stiffness_sign * square
 
     def _damping(self, rate: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
         diagonal = 2 * self.damping_ratio * self.angular_frequency * rate
@@ -198,6 +237,11 @@ class LinearEquations(AbstractEquations):
         """Return the reported displacement, m."""
         return self.response_map @ q
 
+    def observables(self, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
+        """Return what can be watched of a motion, by name, in SI units."""
+        seen = {"displacement": self.response(q), "strain_energy": self.strain_energy(q)}
+        return seen if self.gauge is None else seen | self.gauge(q)
+
     @property
     def energy_weight(self) -> Float[Array, "states *lanes"]:
         """Weights of a state: its weighted norm is the root of twice its energy.
@@ -220,8 +264,8 @@ class LinearEquations(AbstractEquations):
         memory: Float[Array, " memories"] | None = None,
     ) -> Float[Array, " coordinates"]:
         """Solve the equation of motion for q'', without forming the diagonal mass matrix."""
-        w = self.angular_frequency
-        free = self.input_map * drive_input - self._damping(rate) - w**2 * q
+        stiffness = self.modal_stiffness * q
+        free = self.input_map * drive_input - self._damping(rate) - stiffness
         return free - self.force_map @ self.contact_forces(q, rate, memory)
 
 

@@ -1,0 +1,331 @@
+"""An inverted pendulum of elastic links on a moving hinge, between two limiters."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from vibrojax._checks import (
+    check_count,
+    check_not_negative,
+    check_positive,
+    check_range,
+    concrete,
+    number_field,
+)
+from vibrojax._trigonometry import cosine, sine
+from vibrojax.contact import Stop
+from vibrojax.contact_laws import AbstractContactLaw, KelvinVoigt
+from vibrojax.drive import AbstractDrive, BaseMotion, NoDrive
+from vibrojax.systems.base import AbstractEquations, AbstractSystem
+
+Number = float | Float[Array, "..."]
+
+
+class Limiters(eqx.Module):
+    """Two stops that move with the base, one on each side of the pendulum, at one height.
+
+    Source: Litak et al., fig. 1 and table 1. Raises `ValueError` for a height or a distance that
+    is not above 0, a negative smoothing, or a law that is none.
+    """
+
+    height: Number = number_field("height")
+    """Height h above the hinge, m."""
+    distance: Number = number_field("distance")
+    """Distance from one limiter to the other, m; the pendulum is a line in the middle."""
+    law: AbstractContactLaw  # pyright: ignore[reportGeneralTypeIssues]
+    """Force as a function of penetration and rate."""
+    smoothing: Number | None = number_field("smoothing", default=0.0)
+    """Width, m of penetration, over which the corner of the force is rounded; 0 keeps it.
+
+    The printed limiters are so stiff that the pendulum rests on them 4 micrometres deep.
+    """
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are no limiters."""
+        check_positive("height", self.height, "m (the hinge)", "It is measured from the hinge.")
+        check_positive("distance", self.distance, "m")
+        if self.smoothing is not None:
+            check_not_negative("smoothing", self.smoothing, "m")
+        if not isinstance(self.law, AbstractContactLaw):
+            raise ValueError(f"law must be a contact law such as KelvinVoigt, got {self.law!r}.")
+
+    def stops(self) -> tuple[Stop, Stop]:
+        """Return the stop on the +x side and the one on the -x side."""
+        gap = self.distance / 2
+        right, left = (Stop(None, gap, self.law, side, self.smoothing) for side in (1, -1))
+        return right, left
+
+
+class PendulumEquations(AbstractEquations):
+    """Equations of motion of the links, in their angles from the upward vertical.
+
+    sum_j a_ij cos(q_i - q_j) q_j'' + sum_j a_ij sin(q_i - q_j) q_j'^2 - g b_i sin q_i
+    + k (K q)_i + beta (K q')_i + c0 q_1' [i = 1] = b_i cos q_i a(t) + contact, with a(t) minus the
+    acceleration of the base. Source: Litak et al., eqs. 1 to 6, multiplied out.
+    """
+
+    stops: tuple[Stop, ...]
+    inertia: Float[Array, "links links"]
+    """a_ij, kg m2: the mass matrix of the straight pendulum."""
+    moment: Float[Array, " links"]
+    """b_i, kg m: what gravity and the motion of the base act on."""
+    stiffness: Float[Array, "links links"]
+    """Of the joints, N m/rad."""
+    damping: Float[Array, "links links"]
+    """Of joints and bearing, N m s/rad."""
+    gravity: Float[Array, ""]
+    """m/s2."""
+    link_length: Float[Array, ""]
+    """m."""
+    limiter_height: Float[Array, ""]
+    """m above the hinge."""
+    below: Float[Array, " links"]
+    """1 for the links below the one that faces the limiters, else 0."""
+    facing: Float[Array, " links"]
+    """1 for the link that faces the limiters, else 0."""
+
+    @property
+    def size(self) -> int:
+        """How many links there are."""
+        return self.moment.shape[0]
+
+    @property
+    def coordinate_units(self) -> str:
+        """Unit of the coordinates: angles."""
+        return "rad"
+
+    def mass(self, q: Float[Array, " links"]) -> Float[Array, "links links"]:
+        """Return the mass matrix, kg m2."""
+        return self.inertia * jnp.cos(q[:, None] - q[None, :])
+
+    def mass_times(
+        self, q: Float[Array, " links"], vector: Float[Array, " links"]
+    ) -> Float[Array, " links"]:
+        """Return the mass matrix times a vector by two constant products."""
+        c, s = cosine(q), sine(q)
+        return c * (self.inertia @ (c * vector)) + s * (self.inertia @ (s * vector))
+
+    def linear_force(
+        self, q: Float[Array, " links"], rate: Float[Array, " links"]
+    ) -> Float[Array, " links"]:
+        """Return the moments of joints and bearing, N m."""
+        return self.stiffness @ q + self.damping @ rate
+
+    def smooth_force(
+        self, q: Float[Array, " links"], rate: Float[Array, " links"]
+    ) -> Float[Array, " links"]:
+        """Return the moments of gravity and of the turning of the links, N m."""
+        c, s, square = cosine(q), sine(q), rate**2
+        turning = s * (self.inertia @ (c * square)) - c * (self.inertia @ (s * square))
+        return self.gravity * self.moment * s - turning
+
+    def input(self, q: Float[Array, " links"]) -> Float[Array, " links"]:
+        """Return the moments of a unit input (base acceleration with its sign changed), kg m."""
+        return self.moment * cosine(q)
+
+    def penetration(self, q: Float[Array, " links"]) -> Float[Array, " stops"]:
+        """Return how deep the limiters are in the face of their link, m."""
+        if not self.stops:
+            return jnp.zeros(0)
+        c, s = cosine(q), sine(q)
+        across, along = self.link_length * (self.below @ s), self.link_length * (self.below @ c)
+        c, s = self.facing @ c, self.facing @ s
+        reach = across * c + (self.limiter_height - along) * s
+        return jnp.stack([stop.side * reach - stop.gap * c for stop in self.stops])
+
+    def tip(self, q: Float[Array, " links"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Return where the tip is from the hinge, across and up, m."""
+        return self.link_length * jnp.sum(sine(q)), self.link_length * jnp.sum(cosine(q))
+
+    def response(self, q: Float[Array, " links"]) -> Float[Array, ""]:
+        """Return the displacement of the tip relative to the base, m."""
+        return self.tip(q)[0]
+
+    def observables(self, q: Float[Array, " links"]) -> dict[str, Float[Array, ""]]:
+        """Return what can be watched of a motion; see `pendulum_observables`."""
+        energy = {"strain_energy": self.strain_energy(q)}
+        return pendulum_observables(q, self.link_length) | energy
+
+    def kinetic_energy(
+        self, q: Float[Array, " links"], rate: Float[Array, " links"]
+    ) -> Float[Array, ""]:
+        """Return the kinetic energy relative to the base, J (Litak et al., eq. 1)."""
+        return rate @ self.mass_times(q, rate) / 2
+
+    def potential_energy(self, q: Float[Array, " links"]) -> Float[Array, ""]:
+        """Return the energy of the joints and of the height, J (Litak et al., eq. 2)."""
+        return self.strain_energy(q) + self.gravity * (self.moment @ cosine(q))
+
+
+def pendulum_observables(
+    angles: Float[Array, " links"], link_length: Float[Array, ""]
+) -> dict[str, Float[Array, ""]]:
+    """Read displacement of the tip (m), bearing angle (rad) and chord reduction (m) off angles.
+
+    The chord reduction, of Litak et al., fig. 4c, is the length less the distance from hinge to
+    tip: a measure of bending.
+    """
+    # Summed over pairs of links: length minus chord would cancel to nothing for small bending.
+    apart = angles[:, None] - angles[None, :]
+    versed = jnp.sum(2 * jnp.sin(apart / 2) ** 2)
+    count = angles.shape[0]
+    chord = jnp.sqrt(count**2 - versed)
+    return {
+        "displacement": link_length * jnp.sum(jnp.sin(angles)),
+        "bearing_angle": angles[0],
+        "chord_reduction": link_length * versed / (count + chord),
+    }
+
+
+class ElasticPendulum(AbstractSystem):
+    """An inverted pendulum of rigid links with springs between them, hinged to a moving base.
+
+    Angles are absolute, from the upward vertical, the first being that of the bearing. The hinge
+    is free but for its damping; two limiters that move with the base keep the pendulum from
+    falling. Source: Litak et al., eqs. 1 to 6 and table 1.
+
+    Raises `ValueError` for a length, section, modulus or density that is not above 0, a negative
+    mass, damping or gravity, fewer than 2 links, a limiter height above the tip or not above the
+    hinge, or a drive other than `BaseMotion` and `NoDrive`.
+    """
+
+    length: Number = number_field("length")
+    """Length L from hinge to tip, m."""
+    width: Number = number_field("width")
+    """Width of the section, m."""
+    thickness: Number = number_field("thickness")
+    """Thickness of the section in the direction of motion, m."""
+    youngs_modulus: Number = number_field("youngs_modulus")
+    """Young's modulus E, Pa; a joint between links of length l has the stiffness k = E I/l."""
+    density: Number = number_field("density")
+    """Density, kg/m3."""
+    limiters: Limiters | None = None
+    """The two limiters, or None."""
+    drive: AbstractDrive = eqx.field(default_factory=NoDrive)
+    """Motion of the base across the pendulum, or none."""
+    tip_mass: Number = number_field("tip_mass", default=0.0)
+    """Mass at the tip, kg."""
+    joint_damping: Number = number_field("joint_damping", default=0.0)
+    """Damping beta of every joint between two links, N m s/rad."""
+    bearing_damping: Number = number_field("bearing_damping", default=0.0)
+    """Damping c0 of the hinge, N m s/rad."""
+    gravity: Number = number_field("gravity", default=9.81)
+    """Acceleration of gravity, m/s2."""
+    num_links: int = eqx.field(static=True, default=17)
+    """How many rigid links there are."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are no pendulum."""
+        check_positive("length", self.length, "m")
+        check_positive("width", self.width, "m")
+        check_positive("thickness", self.thickness, "m")
+        check_positive("youngs_modulus", self.youngs_modulus, "Pa")
+        check_positive("density", self.density, "kg/m3")
+        check_not_negative("tip_mass", self.tip_mass, "kg")
+        check_not_negative("joint_damping", self.joint_damping, "N m s/rad")
+        check_not_negative("bearing_damping", self.bearing_damping, "N m s/rad")
+        check_not_negative("gravity", self.gravity, "m/s2")
+        check_count("num_links", self.num_links, least=2)
+        if self.limiters is not None:
+            if not isinstance(self.limiters, Limiters):
+                raise ValueError(f"limiters must be Limiters(...) or None, got {self.limiters!r}.")
+            length = concrete(self.length)
+            if length is not None and length.ndim == 0:
+                check_range(
+                    "limiters.height",
+                    self.limiters.height,
+                    0.0,
+                    float(length),
+                    include_low=False,
+                    allowed=f"above 0 (hinge) and at most {float(length):g} m (tip)",
+                    advice="Put the limiters beside the pendulum, or make it longer.",
+                )
+        if not isinstance(self.drive, BaseMotion | NoDrive):
+            raise ValueError(f"drive must be BaseMotion or NoDrive, got {self.drive!r}.")
+
+    @property
+    def link_length(self) -> ArrayLike:
+        """Length l of a link, m."""
+        return self.length / self.num_links
+
+    @property
+    def joint_stiffness(self) -> ArrayLike:
+        """Stiffness k = E I/l of a joint, N m/rad."""
+        return self.youngs_modulus * self.width * self.thickness**3 / 12 / self.link_length
+
+    def equations(self) -> PendulumEquations:
+        """Compute inertias, stiffness and damping of the links."""
+        n, link = self.num_links, jnp.asarray(self.link_length)
+        mass = self.density * self.width * self.thickness * link
+        place = np.arange(1, n + 1)
+        carried = mass * (n - place) + self.tip_mass
+        moment = link * (mass / 2 + carried)
+        above = jnp.minimum(carried[:, None], carried[None, :])
+        inertia = link**2 * (mass / 2 + above)
+        own = link**2 * (mass / 4 + carried) + mass * (link**2 + self.thickness**2) / 12
+        inertia = jnp.where(np.eye(n, dtype=bool), own, inertia)
+        path = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+        path[0, 0] = path[-1, -1] = 1.0
+        hinge = np.zeros((n, n))
+        hinge[0, 0] = 1.0
+        height = jnp.asarray(0.0 if self.limiters is None else self.limiters.height)
+        # A limiter at a joint belongs to the link below it; a hair above it is round-off.
+        facing = jnp.clip(jnp.ceil(height / link - 1e-9), 1, n)
+        return PendulumEquations(
+            stops=() if self.limiters is None else self.limiters.stops(),
+            inertia=inertia,
+            moment=moment,
+            stiffness=self.joint_stiffness * path,
+            damping=self.joint_damping * path + self.bearing_damping * hinge,
+            gravity=jnp.asarray(self.gravity, float),
+            link_length=link,
+            limiter_height=height,
+            below=(place < facing).astype(float),
+            facing=(place == facing).astype(float),
+        )
+
+
+def default_pendulum(
+    *,
+    limiter_height: Number = 0.04,
+    limiter_distance: Number = 0.012,
+    contact_stiffness: Number = 1e4,
+    contact_damping: Number = 1e2,
+    base_amplitude: Number = 6.33e-3,
+    joint_damping_time: Number = 2.91e-4,
+    bearing_damping: Number = 1.44e-3,
+    tip_mass: Number = 1.129e-3,
+    length: Number = 0.195,
+    width: Number = 0.017,
+    thickness: Number = 3e-3,
+    youngs_modulus: Number = 350e6,
+    density: Number = 850.0,
+    gravity: Number = 9.81,
+    num_links: int = 17,
+) -> ElasticPendulum:
+    """Make the inverted elastic pendulum of Litak et al., table 1.
+
+    Any number can be changed by name, swept or differentiated. PRINTED: limiter_distance,
+    contact_stiffness, contact_damping, the beam, tip_mass and num_links. INFERRED, because the
+    paper does not say: limiter_height (m), base_amplitude (m), bearing_damping (N m s/rad) and
+    joint_damping_time (s), the damping of a joint over its stiffness.
+    Raises `ValueError` for numbers that are no pendulum.
+    """
+    law = KelvinVoigt(contact_stiffness, contact_damping, tension=False)
+    link = length / num_links
+    joint_stiffness = youngs_modulus * width * thickness**3 / 12 / link
+    return ElasticPendulum(
+        length=length,
+        width=width,
+        thickness=thickness,
+        youngs_modulus=youngs_modulus,
+        density=density,
+        limiters=Limiters(limiter_height, limiter_distance, law),
+        drive=BaseMotion(base_amplitude),
+        tip_mass=tip_mass,
+        joint_damping=joint_damping_time * joint_stiffness,
+        bearing_damping=bearing_damping,
+        gravity=gravity,
+        num_links=num_links,
+    )
