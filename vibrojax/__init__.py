@@ -30,6 +30,7 @@ from vibrojax.modes import Modes as Modes
 from vibrojax.modes import modes as modes
 from vibrojax.response.folds import Fold as Fold
 from vibrojax.response.folds import fold_response as fold_response
+from vibrojax.response.lyapunov import lyapunov_exponent as lyapunov_exponent
 from vibrojax.response.methods import HarmonicBalance as HarmonicBalance
 from vibrojax.response.methods import Shooting as Shooting
 from vibrojax.response.periodic_response import periodic_response as periodic_response
@@ -47,6 +48,7 @@ from vibrojax.results.frequency_response import FrequencyResponse as FrequencyRe
 from vibrojax.results.histories import Histories as Histories
 from vibrojax.results.history import History as History
 from vibrojax.results.identification import Identification as Identification
+from vibrojax.results.lyapunov import LyapunovExponent as LyapunovExponent
 from vibrojax.results.maps import plot_map as plot_map
 from vibrojax.results.maps import plot_map_summary as plot_map_summary
 from vibrojax.results.periodic_response import PeriodicResponse as PeriodicResponse

@@ -1,0 +1,271 @@
+"""Many lanes marched and seen once per drive period: the engine of regimes, diagrams and basins.
+
+A `Strober` holds the rigs of a study made ready; lanes are pairs of a rig and a drive frequency.
+It works through any number of lanes in chunks of one width, so everything compiles once, and what
+a lane comes to does not hang on its neighbours. On the host, lanes lead: states are (lanes,
+states); in the loops they trail, as the marches want them.
+
+    strober = Strober.of(method, rigs)
+    state = strober.march(rig, angular_frequency, state, periods)
+    record = strober.strobes(rig, angular_frequency, state, count)
+    found = strober.observe(rig, angular_frequency, state, plan)
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrojax.response.lyapunov import (
+    ALIGNING,
+    Growth,
+    drive_period,
+    first_tangent,
+    mean_rate,
+    tangent_growth,
+)
+from vibrojax.response.period_number import period_number
+from vibrojax.stepping.method import AbstractMarch, AbstractMethod
+from vibrojax.studies.lane_pool import WIDTHS, take_rigs
+from vibrojax.studies.swept_lanes import Prepared, Rigs, prepare, ratios_of
+
+lax = jax.lax
+
+APERIODIC_PERIODS = 24
+"""Drive periods over which contacts and extremes of a motion without a period are measured."""
+
+Tell = Callable[[int], object]
+Numbers = Float[np.ndarray, " lanes"]
+
+
+class StrobePlan(NamedTuple):
+    """How long lanes are marched and seen, and when a motion counts as periodic."""
+
+    transient: int
+    """Drive periods before anything is looked at."""
+    periods: int
+    """Drive periods observed."""
+    max_period: int
+    tolerance: float
+    """Relative return that makes a period, see `period_number`."""
+    lyapunov: bool
+
+
+class Observed(NamedTuple):
+    """What some lanes came to, lanes leading."""
+
+    start: Float[np.ndarray, "lanes states"]
+    """State at the start of the window observed, drive phase 0."""
+    end: Float[np.ndarray, "lanes states"]
+    period: Int[np.ndarray, " lanes"]
+    return_error: Numbers
+    lyapunov_exponent: Numbers
+    """1/s; NaN where it was not asked for."""
+    lyapunov_standard_error: Numbers
+    alive: Bool[np.ndarray, " lanes"]
+    """Whether the state stayed finite."""
+
+
+def width_for(count: int) -> int:
+    """Return how many lanes run side by side: the narrowest loop for them all, or the widest."""
+    widths = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])
+    return next((w for w in widths if w >= count), widths[-1])
+
+
+def in_chunks(
+    function: Callable[[np.ndarray], Any], count: int, tell: Tell = lambda done: None
+) -> Any:
+    """Run a function of an index over chunks of lanes of one width, the last filled by repeats.
+
+    The function returns a tree of arrays with the lanes leading; `tell` hears of lanes done.
+    """
+    width = width_for(count)
+    parts = []
+    for first in range(0, count, width):
+        own = min(width, count - first)
+        found = function(np.minimum(np.arange(first, first + width), count - 1))
+        parts.append(jax.tree.map(lambda a, n=own: np.asarray(a)[:n], found))
+        tell(own)
+    return jax.tree.map(lambda *a: np.concatenate(a), *parts)
+
+
+@eqx.filter_jit
+def _march(march: AbstractMarch, rig, frequency, state, periods):
+    end, _, _ = take_rigs(march, rig)(state.T, frequency, periods, False)
+    return end.T
+
+
+def _strobed(advance, state, count: int):
+    return lax.scan(lambda s, _: (advance(s),) * 2, state, None, length=count)
+
+
+@eqx.filter_jit
+def _strobes(march: AbstractMarch, rig, frequency, state, count: int):
+    advance = drive_period(take_rigs(march, rig), frequency)
+    _, record = _strobed(advance, state.T, count)
+    return jnp.moveaxis(record, -1, 0)
+
+
+@eqx.filter_jit
+def _observe(
+    march: AbstractMarch,
+    rig,
+    frequency,
+    state,
+    transient,
+    tolerance,
+    periods: int,
+    max_period: int,
+    lyapunov: bool,
+) -> Observed:
+    own = take_rigs(march, rig)
+    weight, advance = own.energy_weight(), drive_period(own, frequency)
+    before = jnp.full(frequency.shape, transient, jnp.int32)
+    state, _, _ = own(state.T, frequency, before, False)
+    if lyapunov:
+        # One scan for both parts: the march is the dear thing to compile.
+        grown: Growth = tangent_growth(
+            advance, state, first_tangent(weight), weight, ALIGNING + periods
+        )
+        start, strobes = grown.strobes[ALIGNING - 1], grown.strobes[ALIGNING:]
+        growth = grown.log_growth[ALIGNING:]
+        exponent, error = mean_rate(growth, 2 * jnp.pi / frequency)
+        end = grown.state
+    else:
+        start = state
+        end, strobes = _strobed(advance, state, periods)
+        exponent = error = jnp.full(frequency.shape, jnp.nan)
+    found = period_number(strobes * weight, tolerance, max_period)
+    alive = jnp.all(jnp.isfinite(end), axis=0)
+    return Observed(
+        start.T,
+        end.T,
+        jnp.where(alive, found.period, 0),
+        jnp.where(alive, found.return_error, jnp.nan),
+        exponent,
+        error,
+        alive,
+    )
+
+
+@eqx.filter_jit
+def _measure(march: AbstractMarch, reference, rig, frequency, state, window):
+    _, _, measures = take_rigs(march, rig)(state.T, frequency, window, True)
+    own = jnp.take(reference, rig, axis=-1)
+    return ratios_of(measures, jnp.maximum(window, 1).astype(float), own, jnp)
+
+
+class Strober(eqx.Module):
+    """Rigs made ready to be marched, strobed and measured, chunk by chunk of lanes.
+
+    In all methods `rig[k]` is the rig of lane k among those prepared and `angular_frequency[k]`
+    its drive in rad/s; states (q, q', memories) are at drive phase 0.
+    """
+
+    method: AbstractMethod
+    rigs: Rigs
+    """Equations and drives, rigs leading."""
+    prepared: Prepared
+
+    @classmethod
+    def of(cls, method: AbstractMethod, rigs: Rigs) -> "Strober":
+        """Make rigs ready."""
+        return cls(method, rigs, prepare(method, rigs))
+
+    @property
+    def weight(self) -> Float[np.ndarray, "rigs states"]:
+        """Weights that make states comparable: norms of weighted states are energies."""
+        return np.asarray(self.prepared.march.energy_weight()).T
+
+    @property
+    def states(self) -> int:
+        """Length of a state."""
+        return self.weight.shape[1]
+
+    def march(
+        self,
+        rig: Int[np.ndarray, " lanes"],
+        angular_frequency: Numbers,
+        state: Float[np.ndarray, "lanes states"],
+        periods: int | Int[np.ndarray, " lanes"],
+        tell: Tell = lambda done: None,
+    ) -> Float[np.ndarray, "lanes states"]:
+        """Return the states after so many drive periods, NaN where a lane was lost."""
+        count = np.broadcast_to(np.asarray(periods, np.int32), np.shape(rig))
+        march = self.prepared.march
+
+        def run(k):
+            return _march(march, rig[k], angular_frequency[k], state[k], count[k])
+
+        return in_chunks(run, len(rig), tell)
+
+    def strobes(
+        self,
+        rig: Int[np.ndarray, " lanes"],
+        angular_frequency: Numbers,
+        state: Float[np.ndarray, "lanes states"],
+        count: int,
+        tell: Tell = lambda done: None,
+    ) -> Float[np.ndarray, "lanes count states"]:
+        """Return the states after each of `count` drive periods."""
+        march = self.prepared.march
+
+        def run(k):
+            return _strobes(march, rig[k], angular_frequency[k], state[k], count)
+
+        return in_chunks(run, len(rig), tell)
+
+    def observe(
+        self,
+        rig: Int[np.ndarray, " lanes"],
+        angular_frequency: Numbers,
+        state: Float[np.ndarray, "lanes states"],
+        plan: StrobePlan,
+        tell: Tell = lambda done: None,
+    ) -> Observed:
+        """March the transient, then return period and exponent of what lasts."""
+        march = self.prepared.march
+        before = max(plan.transient - ALIGNING, 0) if plan.lyapunov else plan.transient
+        transient, tolerance = jnp.asarray(before, jnp.int32), jnp.asarray(plan.tolerance, float)
+
+        def run(k):
+            return _observe(
+                march,
+                rig[k],
+                angular_frequency[k],
+                state[k],
+                transient,
+                tolerance,
+                plan.periods,
+                plan.max_period,
+                plan.lyapunov,
+            )
+
+        return in_chunks(run, len(rig), tell)
+
+    def measure(
+        self,
+        rig: Int[np.ndarray, " lanes"],
+        angular_frequency: Numbers,
+        state: Float[np.ndarray, "lanes states"],
+        period: Int[np.ndarray, " lanes"],
+    ) -> dict[str, np.ndarray]:
+        """Return amplitudes, contact forces and contacts as a sweep does, over one period.
+
+        A motion without a period (0) is measured over `APERIODIC_PERIODS`.
+        """
+        lost = ~np.isfinite(state).all(axis=1)
+        window = np.where(period > 0, period, APERIODIC_PERIODS)
+        window = np.where(lost, 0, window).astype(np.int32)
+        begin = np.where(lost[:, None], 0.0, state)
+        march, reference = self.prepared.march, self.prepared.reference
+
+        def run(k):
+            return _measure(march, reference, rig[k], angular_frequency[k], begin[k], window[k])
+
+        found = in_chunks(run, len(rig))
+        return {name: np.where(lost, np.nan, values) for name, values in found.items()}
