@@ -94,3 +94,30 @@ def test_sampling_rate(make):
         vj.simulate(make(), frequency=9.0, duration=0.25, sampling_rate=2e3, samples=100)
     with pytest.raises(ValueError, match="JAX is tracing"):
         jax.jit(lambda f: vj.simulate(make(), frequency=f, periods=1, sampling_rate=2e3).time)(9.0)
+
+
+def test_initial_states_and_a_chirp(make):
+    starts = [([1e-4, 0.0], [0.0, 0.0]), ([-1e-4, 1e-5], [1e-3, 0.0])]
+    settings = {"waveform": vj.Chirp(8.0, 11.0, 0.3), "duration": 0.3, "samples": 384}
+    found = vj.simulate_each(make(), initial_states=starts, **settings)
+    assert found.shape == (2,)
+    np.testing.assert_array_equal(found.axes["start"], [1, 2])
+    swapped = vj.simulate_each(make(), initial_states=starts[::-1], **settings)
+    for k, (q, rate) in enumerate(starts):
+        np.testing.assert_allclose(found[k].coordinates[0], q)
+        np.testing.assert_allclose(found[k].rates[0], rate)
+        other = swapped[1 - k].displacement()
+        size = float(jnp.max(jnp.abs(other)))
+        np.testing.assert_allclose(found[k].displacement(), other, atol=1e-9 * size)
+    assert float(found[0].motion.waveform.phase(jnp.asarray(0.3))[1]) == 2 * np.pi * 11.0
+    assert found.to_xarray()["tip_displacement"].dims == ("start", "time")
+    cycles = found.cycles(threshold=0.0)
+    assert set(cycles.history) == {1, 2}
+    alone = found[1].cycles(threshold=0.0)
+    np.testing.assert_allclose(cycles.drive_periods[cycles.history == 2], alone.drive_periods)
+    with pytest.raises(ValueError, match="initial_states or release, not both"):
+        vj.simulate_each(make(), initial_states=starts, release=-1e-3, frequency=9.0, periods=1)
+    with pytest.raises(ValueError, match=r"initial_states must be a list of \(q, q'\)"):
+        vj.simulate_each(make(), initial_states=[], frequency=9.0, periods=1)
+    with pytest.raises(ValueError, match=r"shape \(2,\) each"):
+        vj.simulate_each(make(), initial_states=[([0.0], [0.0])], frequency=9.0, periods=1)

@@ -41,6 +41,7 @@ from vibrojax.results.branch import Branches as Branches
 from vibrojax.results.branch import SpecialPoint as SpecialPoint
 from vibrojax.results.coexisting import Coexisting as Coexisting
 from vibrojax.results.contacts import Contacts as Contacts
+from vibrojax.results.cycles import Cycles as Cycles
 from vibrojax.results.energy import EnergyFlow as EnergyFlow
 from vibrojax.results.fold_curves import FoldCurve as FoldCurve
 from vibrojax.results.fold_curves import FoldCurves as FoldCurves
@@ -52,6 +53,7 @@ from vibrojax.results.lyapunov import LyapunovExponent as LyapunovExponent
 from vibrojax.results.maps import plot_map as plot_map
 from vibrojax.results.maps import plot_map_summary as plot_map_summary
 from vibrojax.results.periodic_response import PeriodicResponse as PeriodicResponse
+from vibrojax.results.poincare import PoincareSection as PoincareSection
 from vibrojax.results.resolution import ResolutionCheck as ResolutionCheck
 from vibrojax.results.single_contact_response import (
     SingleContactResponse as SingleContactResponse,

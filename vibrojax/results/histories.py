@@ -13,6 +13,8 @@ from vibrojax.results.history import History
 if TYPE_CHECKING:
     import xarray
 
+    from vibrojax.results.cycles import Cycles
+
 
 class Histories(eqx.Module):
     """One `History` for every combination of the axes, in the order of the call.
@@ -56,6 +58,22 @@ class Histories(eqx.Module):
             raise ValueError(f"Give a value of {name} too, such as {self.axes[name][0]}.")
         place = [int(np.argmin(np.abs(axis - values[n]))) for n, axis in self.axes.items()]
         return self[int(np.ravel_multi_index(place, self.shape)) if place else 0]
+
+    def cycles(
+        self,
+        quantity: str = "displacement",
+        *,
+        level: float | int = 0.0,
+        threshold: float | int | None = None,
+    ) -> "Cycles":
+        """Return the cycles of all histories together, as `History.cycles` reads them.
+
+        Histories that diverged are left out and counted. Raises `ValueError` as that does, or where
+        all of them diverged.
+        """
+        from vibrojax.results.cycles import cycles_of_each
+
+        return cycles_of_each(self, quantity, level, threshold)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return one dataset over the axes and what `History.to_xarray` has.

@@ -10,8 +10,14 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from vibrojax._checks import check_choice, is_traced
-from vibrojax.drive import Harmonic
-from vibrojax.results.spectrum import FOLDED, Spectrum, folded_share, spectrum_of
+from vibrojax.results.quantities import (
+    QUANTITIES,
+    STRAIN_POWER,
+    displacement_of,
+    observables_of,
+    quantity_of,
+    unit_and_label,
+)
 from vibrojax.results.status import Status
 from vibrojax.systems.base import AbstractSystem, LinearEquations, Motion
 from vibrojax.systems.impacting_beam import ImpactingBeam
@@ -21,14 +27,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from vibrojax.results.contacts import Contacts, Peak
+    from vibrojax.results.cycles import Cycles
     from vibrojax.results.energy import EnergyFlow
-
-QUANTITIES = {
-    "displacement": ("m", "Displacement"),
-    "velocity": ("m/s", "Velocity"),
-    "acceleration": ("m/s2", "Acceleration"),
-    "contact_force": ("N", "Contact force"),
-}
+    from vibrojax.results.poincare import PoincareSection
+    from vibrojax.results.spectrum import Spectrum
 
 
 class History(eqx.Module):
@@ -39,11 +41,12 @@ class History(eqx.Module):
     time: Float[Array, " samples"]
     """s."""
     coordinates: Float[Array, "samples coordinates"]
-    """Modal coordinates q of a beam, m (shapes as `modes(...)` normalises them)."""
+    """Modal coordinates q of a beam, m (shapes as `modes(...)` normalises them); those of the
+    equations of other systems, in `coordinate_units`."""
     rates: Float[Array, "samples coordinates"]
-    """Their velocities, m/s."""
+    """Their velocities, per s."""
     accelerations: Float[Array, "samples coordinates"]
-    """Their accelerations, m/s2."""
+    """Their accelerations, per s2."""
     contact_force: Float[Array, "samples stops"]
     """Force of each stop, N, positive when it pushes the body off."""
     memory: Float[Array, "samples memories"]
@@ -88,11 +91,11 @@ class History(eqx.Module):
 
         Without a position, here and below: what a frequency response reports, the tip of a beam.
         """
-        return self.coordinates @ self._shape(position)
+        return displacement_of(self, position)[0]
 
     def velocity(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
         """Velocity relative to the base at s = x/L, m/s."""
-        return self.rates @ self._shape(position)
+        return displacement_of(self, position)[1]
 
     def acceleration(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
         """Acceleration relative to the base at s = x/L, m/s2.
@@ -100,14 +103,16 @@ class History(eqx.Module):
         With contact damping the force jumps at touch, and the peak of the acceleration does not
         converge with the number of modes.
         """
-        return self.accelerations @ self._shape(position)
+        return displacement_of(self, position)[2]
 
     def quantity(self, name: str, position: ArrayLike | None = None) -> Float[Array, " samples"]:
-        """Return a quantity by name; the contact force is that of all stops together."""
-        check_choice("quantity", name, tuple(QUANTITIES))
-        if name == "contact_force":
-            return jnp.sum(self.contact_force, axis=1)
-        return getattr(self, name)(position)
+        """Return a quantity by name; the contact force is that of all stops together.
+
+        Beside displacement, velocity, acceleration and contact force: the observables of the
+        equations (`strain_energy`, J, of every system) and `strain_power`, the rate of the strain
+        energy, W. Raises `ValueError` for an unknown name, or a position where there is none.
+        """
+        return quantity_of(self, name, position)[0]
 
     def spectrum(
         self,
@@ -122,7 +127,7 @@ class History(eqx.Module):
         scaling: str = "peak",
         span: float | int | None = None,
         units: str | None = None,
-    ) -> Spectrum:
+    ) -> "Spectrum":
         """Return the spectrum of a quantity as an analyser shows it.
 
             history.spectrum("acceleration", start=2, segment=2, averages=30, span=800, units="g")
@@ -148,52 +153,13 @@ class History(eqx.Module):
         too few averages, an overlap or span outside of what is possible, or a history sampled below
         twice the highest natural frequency when more than 1 % of the rms is folded from there.
         """
-        if np.ndim(self.time) != 1 or is_traced(self.time):
-            raise ValueError(
-                "A spectrum is of one history outside jit and vmap, got lanes of shape "
-                f"{np.shape(self.time)[:-1]}. Take one: jax.tree.map(lambda a: a[0], history)."
-            )
-        if int(self.status) != Status.completed.value:
-            raise ValueError(f"This history has no spectrum: it {Status(int(self.status)).name}.")
-        if position is not None and np.ndim(position):
-            raise ValueError(f"position must be one place x/L, got {position!r}.")
-        time = np.asarray(self.time)
-        inside = time >= start
-        if np.sum(inside) < 9:
-            raise ValueError(
-                f"start = {start!r} s leaves {np.sum(inside)} samples, 9 are needed. The history "
-                f"ends at {time[-1]:.6g} s."
-            )
-        rate = float(1 / (time[1] - time[0]))
-        is_force = quantity == "contact_force"
-        if is_force:
-            position = None
-        values = np.asarray(self.quantity(quantity, position))[inside]
-        equations, waveform, drive = self.motion.equations, self.motion.waveform, self.motion.drive
-        _, angular, second = waveform.phase(jnp.zeros(()))
-        clock, natural = float(angular) / (2 * np.pi), np.zeros(0)
-        if isinstance(equations, LinearEquations):
-            natural = np.asarray(equations.angular_frequency) / (2 * np.pi)
-        if np.max(natural, initial=0.0) > rate / 2:
-            moved = np.asarray(self.displacement(position))[inside]
-            pushed = np.asarray(self.acceleration(position))[inside]
-            # A force has no derivative to tell folded lines by: the motion it causes has.
-            share = folded_share(pushed if is_force else values, moved, pushed, rate)
-            if share > FOLDED:
-                raise ValueError(
-                    f"The history has {rate:.6g} samples/s and a highest mode of {max(natural):.6g}"
-                    f" Hz: {100 * share:.2g} % of the rms lies above {rate / 2:.6g} Hz and would "
-                    "be folded. Give simulate a sampling_rate of at least "
-                    f"{2.56 * max(natural):.5g} Hz, or samples_per_period of at least "
-                    f"{int(np.ceil(2.56 * max(natural) / clock))}."
-                )
-        moving = abs(complex(drive.complex_amplitude(angular, second))) > 0
-        if position is None and isinstance(self.system, ImpactingBeam) and not is_force:
-            position = 1.0
-        return spectrum_of(
-            values[:-1] if segment is None else values,
-            rate,
-            quantity=quantity,
+        from vibrojax.results.history_spectrum import spectrum_of_history
+
+        return spectrum_of_history(
+            self,
+            quantity,
+            position,
+            start=start,
             window=window,
             segment=segment,
             overlap=overlap,
@@ -201,10 +167,65 @@ class History(eqx.Module):
             scaling=scaling,
             span=span,
             units=units,
-            drive_frequency=clock if moving and isinstance(waveform, Harmonic) else None,
-            natural_frequencies=natural,
-            position=None if position is None else float(np.asarray(position)),
         )
+
+    def cycles(
+        self,
+        quantity: str = "displacement",
+        *,
+        level: float | int = 0.0,
+        threshold: float | int | None = None,
+    ) -> "Cycles":
+        """Return the cycles of a quantity, from up-crossing to up-crossing of a level.
+
+            history.cycles("bearing_angle", threshold=0.04).plot()
+
+        Parameters:
+            quantity: as for `quantity`.
+            level: what is crossed, in the unit of the quantity.
+            threshold: hysteresis: an up-crossing counts only if the quantity was below level -
+                threshold since the one before. None: 0.3 of the rms of the quantity about the
+                level.
+
+        Crossing times are those of cubics between the samples, and the lengths in drive periods
+        count the phase of the drive, exactly also in a chirp. Source: Litak et al., fig. 4. Raises
+        `ValueError` for an unknown quantity, a negative threshold, or a history that diverged, is
+        traced or holds lanes.
+        """
+        from vibrojax.results.cycles import cycles_of
+
+        return cycles_of(self, quantity, level, threshold)
+
+    def poincare(
+        self,
+        quantity: str = "displacement",
+        level: float | int | None = None,
+        direction: str = "upwards",
+        *,
+        phase: float | int = 0.0,
+        start: float | int = 0.0,
+    ) -> "PoincareSection":
+        """Return a Poincaré section: the motion once a drive period, or where a level is crossed.
+
+            history.poincare(start=5.0).plot()
+            history.poincare("bearing_angle", level=0.0)
+
+        Parameters:
+            quantity: as for `quantity`, but not the acceleration or a force; drawn by `plot`.
+            level: value at whose crossings the motion is read, in the unit of the quantity. None:
+                it is read whenever the drive has the given phase.
+            direction: crossings counted: `upwards`, `downwards` or `both`.
+            phase: of the drive, rad, for a section without a level.
+            start: time from which on crossings count, s.
+
+        Between samples a cubic is read, so that values are good to the fourth power of the
+        interval, to the second where a stop is touched between two samples. Raises `ValueError` for
+        what cannot be, a section by the phase of a system that nothing drives, or a history that
+        diverged, is traced or holds lanes.
+        """
+        from vibrojax.results.poincare import section_of
+
+        return section_of(self, quantity, level, direction, phase, start)
 
     def contacts(self) -> "Contacts":
         """Return the table of all contacts, one row each, with their exact times.
@@ -238,6 +259,11 @@ class History(eqx.Module):
         from vibrojax.results.contacts import peak_of
 
         check_choice("quantity", quantity, tuple(QUANTITIES))
+        if not isinstance(self.motion.equations, LinearEquations):
+            raise ValueError(
+                "Peaks between samples are known of systems that are linear but for their stops. "
+                "Sample finely, and take the largest of history.quantity(...)."
+            )
         return peak_of(self, quantity, position, start)
 
     def energy(self) -> "EnergyFlow":
@@ -250,7 +276,7 @@ class History(eqx.Module):
         return energy_of(self)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return a dataset over time, mode and stop, with units and long names."""
+        """Return a dataset over time, mode (or coordinate) and stop, with units and long names."""
         import xarray
 
         def named(values, units, long_name, *dims):
@@ -260,21 +286,30 @@ class History(eqx.Module):
                 {"units": units, "long_name": long_name},
             )
 
-        data = {
-            "coordinates": named(self.coordinates, "m", "Modal coordinates", "mode"),
-            "rates": named(self.rates, "m/s", "Modal velocities", "mode"),
-            "accelerations": named(self.accelerations, "m/s2", "Modal accelerations", "mode"),
-            "contact_force": named(self.contact_force, "N", "Contact force", "stop"),
-        }
+        unit, modal, along = self.motion.equations.coordinate_units, "Generalised ", "coordinate"
         if isinstance(self.motion.equations, LinearEquations):
-            beam = isinstance(self.system, ImpactingBeam)
-            prefix, place = ("tip_", " of the tip") if beam else ("", "")
-            for name in ("displacement", "velocity", "acceleration"):
-                units, label = QUANTITIES[name]
-                data[prefix + name] = named(getattr(self, name)(), units, label + place)
+            modal, along = "Modal ", "mode"
+        parts = {
+            "coordinates": (unit, "coordinates"),
+            "rates": (f"{unit}/s", "velocities"),
+            "accelerations": (f"{unit}/s2", "accelerations"),
+        }
+        data = {
+            name: named(getattr(self, name), units, modal + label, along)
+            for name, (units, label) in parts.items()
+        }
+        data["contact_force"] = named(self.contact_force, "N", "Contact force", "stop")
+        beam = isinstance(self.system, ImpactingBeam)
+        prefix, place = ("tip_", " of the tip") if beam else ("", "")
+        moved = displacement_of(self)
+        for name, values in zip(("displacement", "velocity", "acceleration"), moved, strict=True):
+            units, label = QUANTITIES[name]
+            data[prefix + name] = named(values, units, label + place)
+        for name in (*observables_of(self.motion.equations), STRAIN_POWER):
+            data[name] = named(self.quantity(name), *unit_and_label(name))
         coordinates = {
             "time": ("time", np.asarray(self.time), {"units": "s", "long_name": "Time"}),
-            "mode": np.arange(1, self.coordinates.shape[1] + 1),
+            along: np.arange(1, self.coordinates.shape[1] + 1),
             "stop": np.arange(1, self.contact_force.shape[1] + 1),
         }
         attributes = {"status": Status(int(self.status)).name, "rig": repr(self.system)}
@@ -285,6 +320,17 @@ class History(eqx.Module):
         from vibrojax.results.history_plot import plot_history
 
         return plot_history(self, quantity, position)
+
+    def plot_chirp(self, *quantities: str) -> "Figure":
+        """Draw the drive, quantities and the drive frequency against time, one below the other.
+
+        By default the bearing angle where there is one, else the displacement, and the chord
+        reduction, else the strain energy. Source: Litak et al., fig. 4. Raises `ValueError` for an
+        unknown quantity, a system that nothing drives, or a history that holds lanes.
+        """
+        from vibrojax.results.chirp_plot import plot_chirp
+
+        return plot_chirp(self, quantities)
 
     def __repr__(self) -> str:
         *lanes, samples, coordinates = self.coordinates.shape

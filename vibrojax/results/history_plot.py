@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from matplotlib.figure import Figure
 
+from vibrojax.results.quantities import QUANTITIES, check_quantity, unit_and_label
 from vibrojax.systems.impacting_beam import ImpactingBeam
 
 if TYPE_CHECKING:
@@ -14,19 +15,19 @@ if TYPE_CHECKING:
 
 def plot_history(history: "History", quantity: str, position: ArrayLike | None) -> Figure:
     """Draw a quantity against time, and below it the force of every stop."""
-    from vibrojax.results.history import QUANTITIES
-
+    check_quantity(history.motion.equations, quantity)
     time = np.asarray(history.time)
     forces = np.asarray(history.contact_force)
     stops = forces.shape[1]
     figure = Figure(figsize=(10, 6 if stops else 4), dpi=150, layout="constrained")
     panels = figure.subplots(2 if stops else 1, 1, sharex=True, squeeze=False)[:, 0]
-    unit, label = QUANTITIES[quantity]
+    unit, label = unit_and_label(quantity)
     if position is None and isinstance(history.system, ImpactingBeam):
         position = 1.0
-    nowhere = position is None or quantity == "contact_force"
+    nowhere = position is None or quantity == "contact_force" or quantity not in QUANTITIES
     place = "" if nowhere else f" at x/L = {float(np.asarray(position)):g}"
-    panels[0].plot(time, np.asarray(history.quantity(quantity, position)), linewidth=1.0)
+    values = history.quantity(quantity, None if nowhere else position)
+    panels[0].plot(time, np.asarray(values), linewidth=1.0)
     panels[0].set_ylabel(f"{label}{place} [{unit}]", fontsize=11)
     if stops:
         for s in range(stops):

@@ -20,7 +20,7 @@ from vibrojax._checks import (
     check_range,
     nearest,
 )
-from vibrojax.measured.units import UNITS, unit_named
+from vibrojax.results.variables import VARIABLES
 
 if TYPE_CHECKING:
     import xarray
@@ -160,9 +160,9 @@ class Spectrum:
         """Return a dataset over frequency, with units, long names and settings as attributes."""
         import xarray
 
-        from vibrojax.results.history import QUANTITIES
+        from vibrojax.results.quantities import unit_and_label
 
-        label = f"{QUANTITIES[self.quantity][1]}, {SCALINGS[self.scaling]}"
+        label = f"{unit_and_label(self.quantity)[1]}, {SCALINGS[self.scaling]}"
         named = {"units": self.units, "long_name": label}
         natural = {"units": "Hz", "long_name": "Natural frequencies out of contact"}
         hertz = {"units": "Hz", "long_name": "Frequency"}
@@ -307,14 +307,14 @@ def spectrum_of(
     """
     from scipy.signal import get_window, welch
 
-    from vibrojax.results.history import QUANTITIES
+    from vibrojax.results.quantities import QUANTITIES, unit_for
 
-    check_choice("quantity", quantity, tuple(QUANTITIES))
+    if quantity not in VARIABLES:
+        check_choice("quantity", quantity, tuple(QUANTITIES))
     check_choice("scaling", scaling, tuple(SCALINGS))
     check_positive("rate", rate, "samples/s")
     check_range("overlap", overlap, 0.0, 1.0, include_high=False, allowed="from 0 to below 1")
-    si = QUANTITIES[quantity][0]
-    unit = si if units is None else unit_named(quantity, units, [UNITS[si].kind])
+    unit, factor = unit_for(quantity, units)
     length, record = len(values), f"{len(values) / rate:.6g} s"
     if segment is not None:
         allowed = f"above 0 and at most {record}, the length of the record"
@@ -349,7 +349,7 @@ def spectrum_of(
         ) from None
     keep: Any = False  # the mean: scipy's annotation knows only names
     how = {"nperseg": length, "noverlap": shared, "detrend": keep, "scaling": "spectrum"}
-    frequency, power = welch(values / UNITS[unit].factor, rate, window, **how)
+    frequency, power = welch(values / factor, rate, window, **how)
     bandwidth = float(rate * np.sum(weights**2) / np.sum(weights) ** 2)
     square = f"({unit})2" if "/" in unit else f"{unit}2"
     amplitude, shown = {

@@ -75,11 +75,11 @@ def _choose_peaks(spectrum: "Spectrum", count: int) -> "list[SpectralPeak]":
 
 
 def _value_label(spectrum: "Spectrum") -> str:
-    from vibrojax.results.history import QUANTITIES
+    from vibrojax.results.quantities import unit_and_label
     from vibrojax.results.spectrum import SCALINGS
 
     place = "" if spectrum.position is None else f" at x/L = {spectrum.position:g}"
-    label = QUANTITIES[spectrum.quantity][1]
+    _, label = unit_and_label(spectrum.quantity)
     return f"{label}{place},\n{SCALINGS[spectrum.scaling]} [{spectrum.units}]"
 
 

@@ -24,6 +24,28 @@ VARIABLES = {
     "contact_free_amplitude_ratio": Variable("ratio", "Amplitude without contact over drive"),
     "valid": Variable("1", "Whether the motion exists"),
     "period": Variable("1", "Period of the motion in drive periods (0: none found)"),
+    "displacement": Variable("m", "Displacement"),
+    "velocity": Variable("m/s", "Velocity"),
+    "strain_energy": Variable("J", "Strain energy"),
+    "strain_power": Variable("W", "Rate of strain energy"),
+    "bearing_angle": Variable("rad", "Angle at the bearing"),
+    "drive_periods": Variable("1", "Length of the cycle in drive periods"),
+    "drive_phase": Variable("rad", "Phase of the drive"),
+    "chord_reduction": Variable("m", "Chord reduction"),
+    "regime": Variable("1", "Kind of motion"),
+    "return_error": Variable("1", "Relative error of the return after the period"),
+    "lyapunov_exponent": Variable("1/s", "Largest Lyapunov exponent"),
+    "lyapunov_standard_error": Variable("1/s", "Standard error of the Lyapunov exponent"),
+    "cross_well": Variable("1", "Whether the response visits both sides of the barrier"),
+    "crossings_per_period": Variable("1", "Crossings of the barrier per drive period"),
+    "spectrum": Variable("m", "Amplitude of the displacement"),
+    "order": Variable("1", "Frequency over drive frequency"),
+    "strobe": Variable("1", "Drive periods since the window began"),
+    "start": Variable("1", "Number of the initial state"),
+    "chaotic_fraction": Variable("1", "Share of the points that are chaotic"),
+    "periodic_fraction": Variable("1", "Share of the points that are periodic"),
+    "largest_lyapunov_exponent": Variable("1/s", "Largest Lyapunov exponent of the curve"),
+    "largest_strain_power": Variable("W", "Largest RMS rate of strain energy of the curve"),
     "status": Variable("1", "How the lane ended"),
     "periods_marched": Variable("1", "Drive periods marched to settle"),
     "steps": Variable("1", "Steps taken to settle and measure"),
@@ -51,3 +73,17 @@ VARIABLES = {
     "frequency": Variable("Hz", "Drive frequency"),
     "frequency_ratio": Variable("1", "Drive frequency over first natural frequency"),
 }
+
+STATISTICS = {"max": "largest size", "mean": "mean", "rms": "RMS"}
+"""Endings of the names of statistics of an observable, in words."""
+
+
+def described_statistic(name: str) -> Variable:
+    """Return unit and long name of a variable, also of a statistic such as `strain_power_rms`."""
+    if name in VARIABLES:
+        return VARIABLES[name]
+    base, _, ending = name.rpartition("_")
+    if ending in STATISTICS and base in VARIABLES:
+        units, long_name = VARIABLES[base]
+        return Variable(units, f"{long_name}, {STATISTICS[ending]}")
+    return Variable("1", name.replace("_", " ").capitalize())

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from vibrojax.drive import AbstractWaveform
 from vibrojax.response.simulate import Task, solve, task_of
 from vibrojax.results.histories import Histories
 from vibrojax.results.history import History
@@ -24,6 +25,8 @@ def simulate_each(
     frequency: ArrayLike | Sequence[float] | None = None,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     release: ArrayLike | Sequence[float] | None = None,
+    waveform: AbstractWaveform | None = None,
+    initial_states: Sequence[tuple[Any, ...]] | None = None,
     periods: float | int | None = None,
     duration: float | int | None = None,
     samples_per_period: int = 128,
@@ -37,10 +40,16 @@ def simulate_each(
 
         histories = vj.simulate_each(rig, force=[2.0, 6.0, 12.0], frequency=16.0, duration=10.0)
         histories.at(force=6.0).contacts()
+        chirps = vj.simulate_each(
+            pendulum, waveform=vj.Chirp(2.0, 9.0, 15.0), initial_states=starts, duration=15.0
+        )
+        chirps.cycles("bearing_angle").plot()
 
     Parameters:
         system: what moves, or a function that makes it from named numbers.
         frequency, frequency_ratio, release: one number, or a list as an axis.
+        waveform: the same drive in time for all, instead of a frequency.
+        initial_states: a list of states (q, q') as of `simulate`, the axis `start`, counted from 1.
         periods, duration, samples_per_period, samples, sampling_rate: as of `simulate`.
         solver, tolerance: as of `simulate`.
         numbers: arguments of the function; a list is an axis, axes are crossed.
@@ -53,25 +62,40 @@ def simulate_each(
     swept: dict[str, Any] = {
         name: _axis(name, value) for name, value in given.items() if np.ndim(value) > 0
     }
+    if initial_states is not None:
+        if release is not None:
+            raise ValueError("Give initial_states or release, not both.")
+        if "start" in numbers:
+            raise ValueError("initial_states are the axis `start`: rename that of the function.")
+        if isinstance(initial_states, str) or not len(initial_states):
+            raise ValueError(f"initial_states must be a list of (q, q'), got {initial_states!r}.")
+        swept["start"] = np.arange(1, len(initial_states) + 1)
+    starts = [] if initial_states is None else list(initial_states)
     lanes = lanes_of(system, numbers)
     single: dict[str, Any] = {name: None for name in of_call} | given
-    tasks = [
-        task_of(
-            jax.tree.map(lambda a, k=k: a[k], lanes.systems),
-            **single | dict(zip(swept, values, strict=True)),
-            waveform=None,
+
+    def task(k: int, values: tuple[Any, ...]) -> Task:
+        own = single | dict(zip(swept, values, strict=True))
+        start = own.pop("start", None)
+        return task_of(
+            jax.tree.map(lambda a: a[k], lanes.systems),
+            **own,
+            waveform=waveform,
             periods=periods,
             duration=duration,
             samples_per_period=samples_per_period,
             samples=samples,
             sampling_rate=sampling_rate,
-            initial_state=None,
+            initial_state=None if start is None else starts[start - 1],
             solver=solver,
             stepsize_controller=None,
             tolerance=tolerance,
             gradient="forward",
             max_steps=None,
         )
+
+    tasks = [
+        task(k, values)
         for k in range(int(np.prod(lanes.shape)))
         for values in itertools.product(*swept.values())
     ]
