@@ -54,6 +54,8 @@ from vibrojax.results.maps import plot_map as plot_map
 from vibrojax.results.maps import plot_map_summary as plot_map_summary
 from vibrojax.results.periodic_response import PeriodicResponse as PeriodicResponse
 from vibrojax.results.poincare import PoincareSection as PoincareSection
+from vibrojax.results.regime_kinds import Regime as Regime
+from vibrojax.results.regimes import Regimes as Regimes
 from vibrojax.results.resolution import ResolutionCheck as ResolutionCheck
 from vibrojax.results.single_contact_response import (
     SingleContactResponse as SingleContactResponse,
@@ -82,6 +84,7 @@ from vibrojax.studies.maps.planning import MapPlan as MapPlan
 from vibrojax.studies.maps.responses import SettledSweep as SettledSweep
 from vibrojax.studies.maps.store import StoreFull as StoreFull
 from vibrojax.studies.parameter_map import parameter_map as parameter_map
+from vibrojax.studies.regimes import regimes as regimes
 from vibrojax.studies.resolution import check_resolution as check_resolution
 from vibrojax.studies.simulate_each import simulate_each as simulate_each
 from vibrojax.studies.single_contact import single_contact_response as single_contact_response

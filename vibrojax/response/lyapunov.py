@@ -47,7 +47,7 @@ def first_tangent(weight: Float[Array, "states *lanes"]) -> Float[Array, "states
     """Return a tangent of length 1 with a share of every direction, the same for every lane."""
     direction = np.random.default_rng(20).normal(size=weight.shape[0])
     direction = direction / np.linalg.norm(direction)
-    return direction.reshape((-1,) + (1,) * (weight.ndim - 1)) / weight
+    return jnp.asarray(direction).reshape((-1,) + (1,) * (weight.ndim - 1)) / weight
 
 
 def tangent_growth(

@@ -30,7 +30,7 @@ from vibrojax.response.lyapunov import (
 )
 from vibrojax.response.period_number import period_number
 from vibrojax.stepping.method import AbstractMarch, AbstractMethod
-from vibrojax.studies.lane_pool import WIDTHS, take_rigs
+from vibrojax.studies.lane_pool import WIDTHS
 from vibrojax.studies.swept_lanes import Prepared, Rigs, prepare, ratios_of
 
 lax = jax.lax
@@ -93,9 +93,13 @@ def in_chunks(
     return jax.tree.map(lambda *a: np.concatenate(a), *parts)
 
 
+def _on_host(tree: Any) -> Any:
+    return jax.tree.map(lambda a: np.asarray(a) if eqx.is_array(a) else a, tree)
+
+
 @eqx.filter_jit
-def _march(march: AbstractMarch, rig, frequency, state, periods):
-    end, _, _ = take_rigs(march, rig)(state.T, frequency, periods, False)
+def _march(march: AbstractMarch, frequency, state, periods):
+    end, _, _ = march(state.T, frequency, periods, False)
     return end.T
 
 
@@ -104,8 +108,8 @@ def _strobed(advance, state, count: int):
 
 
 @eqx.filter_jit
-def _strobes(march: AbstractMarch, rig, frequency, state, count: int):
-    advance = drive_period(take_rigs(march, rig), frequency)
+def _strobes(march: AbstractMarch, frequency, state, count: int):
+    advance = drive_period(march, frequency)
     _, record = _strobed(advance, state.T, count)
     return jnp.moveaxis(record, -1, 0)
 
@@ -113,7 +117,6 @@ def _strobes(march: AbstractMarch, rig, frequency, state, count: int):
 @eqx.filter_jit
 def _observe(
     march: AbstractMarch,
-    rig,
     frequency,
     state,
     transient,
@@ -121,11 +124,10 @@ def _observe(
     periods: int,
     max_period: int,
     lyapunov: bool,
-) -> Observed:
-    own = take_rigs(march, rig)
-    weight, advance = own.energy_weight(), drive_period(own, frequency)
+):
+    weight, advance = march.energy_weight(), drive_period(march, frequency)
     before = jnp.full(frequency.shape, transient, jnp.int32)
-    state, _, _ = own(state.T, frequency, before, False)
+    state, _, _ = march(state.T, frequency, before, False)
     if lyapunov:
         # One scan for both parts: the march is the dear thing to compile.
         grown: Growth = tangent_growth(
@@ -141,22 +143,22 @@ def _observe(
         exponent = error = jnp.full(frequency.shape, jnp.nan)
     found = period_number(strobes * weight, tolerance, max_period)
     alive = jnp.all(jnp.isfinite(end), axis=0)
-    return Observed(
-        start.T,
-        end.T,
-        jnp.where(alive, found.period, 0),
-        jnp.where(alive, found.return_error, jnp.nan),
-        exponent,
-        error,
-        alive,
-    )
+    return {
+        "start": start.T,
+        "end": end.T,
+        "period": jnp.where(alive, found.period, 0),
+        "return_error": jnp.where(alive, found.return_error, jnp.nan),
+        "lyapunov_exponent": exponent,
+        "lyapunov_standard_error": error,
+        "alive": alive,
+    }
 
 
 @eqx.filter_jit
-def _measure(march: AbstractMarch, reference, rig, frequency, state, window):
-    _, _, measures = take_rigs(march, rig)(state.T, frequency, window, True)
-    own = jnp.take(reference, rig, axis=-1)
-    return ratios_of(measures, jnp.maximum(window, 1).astype(float), own, jnp)
+def _measure(march: AbstractMarch, reference, frequency, state, window):
+    _, _, measures = march(state.T, frequency, window, True)
+    assert measures is not None  # a march that observes has them
+    return ratios_of(measures, jnp.maximum(window, 1).astype(float), reference, jnp)
 
 
 class Strober(eqx.Module):
@@ -174,7 +176,17 @@ class Strober(eqx.Module):
     @classmethod
     def of(cls, method: AbstractMethod, rigs: Rigs) -> "Strober":
         """Make rigs ready."""
-        return cls(method, rigs, prepare(method, rigs))
+        return cls(method, _on_host(rigs), _on_host(prepare(method, rigs)))
+
+    def _march_of(self, rig: Int[np.ndarray, " lanes"]) -> AbstractMarch:
+        # Picked here and not in the loops, which so do not compile anew for more rigs.
+        march = self.prepared.march
+        return jax.tree.map(lambda a: np.take(a, rig, axis=-1) if eqx.is_array(a) else a, march)
+
+    def rigs_at(self, rig: Int[np.ndarray, " lanes"]) -> Rigs:
+        """Return equations and drives of some lanes, lanes leading."""
+        pick = self.rigs
+        return jax.tree.map(lambda a: np.take(a, rig, axis=0) if eqx.is_array(a) else a, pick)
 
     @property
     def weight(self) -> Float[np.ndarray, "rigs states"]:
@@ -196,10 +208,9 @@ class Strober(eqx.Module):
     ) -> Float[np.ndarray, "lanes states"]:
         """Return the states after so many drive periods, NaN where a lane was lost."""
         count = np.broadcast_to(np.asarray(periods, np.int32), np.shape(rig))
-        march = self.prepared.march
 
         def run(k):
-            return _march(march, rig[k], angular_frequency[k], state[k], count[k])
+            return _march(self._march_of(rig[k]), angular_frequency[k], state[k], count[k])
 
         return in_chunks(run, len(rig), tell)
 
@@ -212,10 +223,9 @@ class Strober(eqx.Module):
         tell: Tell = lambda done: None,
     ) -> Float[np.ndarray, "lanes count states"]:
         """Return the states after each of `count` drive periods."""
-        march = self.prepared.march
 
         def run(k):
-            return _strobes(march, rig[k], angular_frequency[k], state[k], count)
+            return _strobes(self._march_of(rig[k]), angular_frequency[k], state[k], count)
 
         return in_chunks(run, len(rig), tell)
 
@@ -228,14 +238,12 @@ class Strober(eqx.Module):
         tell: Tell = lambda done: None,
     ) -> Observed:
         """March the transient, then return period and exponent of what lasts."""
-        march = self.prepared.march
         before = max(plan.transient - ALIGNING, 0) if plan.lyapunov else plan.transient
         transient, tolerance = jnp.asarray(before, jnp.int32), jnp.asarray(plan.tolerance, float)
 
         def run(k):
             return _observe(
-                march,
-                rig[k],
+                self._march_of(rig[k]),
                 angular_frequency[k],
                 state[k],
                 transient,
@@ -245,7 +253,7 @@ class Strober(eqx.Module):
                 plan.lyapunov,
             )
 
-        return in_chunks(run, len(rig), tell)
+        return Observed(**in_chunks(run, len(rig), tell))
 
     def measure(
         self,
@@ -258,14 +266,15 @@ class Strober(eqx.Module):
 
         A motion without a period (0) is measured over `APERIODIC_PERIODS`.
         """
-        lost = ~np.isfinite(state).all(axis=1)
+        lost = np.asarray(~np.isfinite(state).all(axis=1))
         window = np.where(period > 0, period, APERIODIC_PERIODS)
         window = np.where(lost, 0, window).astype(np.int32)
         begin = np.where(lost[:, None], 0.0, state)
-        march, reference = self.prepared.march, self.prepared.reference
 
         def run(k):
-            return _measure(march, reference, rig[k], angular_frequency[k], begin[k], window[k])
+            reference = np.asarray(self.prepared.reference)[rig[k]]
+            march = self._march_of(rig[k])
+            return _measure(march, reference, angular_frequency[k], begin[k], window[k])
 
         found = in_chunks(run, len(rig))
         return {name: np.where(lost, np.nan, values) for name, values in found.items()}

@@ -1,0 +1,83 @@
+"""What kinds of motion there are, as a number in the result and words for the reader."""
+
+import enum
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+QUIET = 3.0
+"""Growth of a tangent over the whole window, as a power of e, that is not told from none."""
+FAR = 5.0
+"""Least return error of a quasi-periodic motion, in tolerances: nearer, a transient may last."""
+CERTAIN = 3.0
+"""Standard errors from which an exponent counts as different from zero."""
+
+
+class Regime(enum.Enum):
+    """The kind of motion that a lane came to."""
+
+    periodic = 0
+    quasi_periodic = 1
+    chaotic = 2
+    undecided = 3
+    diverged = 4
+
+    @property
+    def word(self) -> str:
+        """The kind as it stands in a legend."""
+        return self.name.replace("_", "-")
+
+    @property
+    def sentence(self) -> str:
+        """The kind in words."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Regime.periodic: "The motion returns after a whole number of drive periods.",
+    Regime.quasi_periodic: (
+        "No period up to the largest one looked for, and neighbouring motions neither part nor "
+        "meet: the largest Lyapunov exponent is zero within its error."
+    ),
+    Regime.chaotic: (
+        "No period up to the largest one looked for, and neighbouring motions part: the largest "
+        "Lyapunov exponent is above zero by more than three standard errors."
+    ),
+    Regime.undecided: (
+        "Period and exponent do not fit together yet: a transient that is not over, a period "
+        "longer than looked for, or a record too short. Give more transient, periods or max_period."
+    ),
+    Regime.diverged: "The state stopped being finite, or contacts came too fast to be resolved.",
+}
+
+
+def regime_of(
+    period: Int[np.ndarray, "..."],
+    growth: Float[np.ndarray, "..."],
+    growth_error: Float[np.ndarray, "..."],
+    return_error: Float[np.ndarray, "..."],
+    tolerance: float,
+    alive: Bool[np.ndarray, "..."],
+) -> Int[np.ndarray, "..."]:
+    """Return the kinds of motions, as the values of `Regime`.
+
+    `growth` is the logarithm of the growth of a tangent over the whole window observed, the
+    exponent times its length, with its standard error; NaN where it was not computed, and then
+    motions without a period are undecided. `return_error` and `tolerance` are those of
+    `period_number`.
+    """
+    known = np.isfinite(growth)
+    total, error = np.where(known, growth, 0.0), np.where(known, growth_error, 0.0)
+    parts = total > np.maximum(CERTAIN * error, QUIET)
+    repeats = period > 0
+    stays = known & (np.abs(total) <= QUIET) & (return_error > FAR * tolerance)
+    words = (Regime.diverged, Regime.periodic, Regime.chaotic, Regime.quasi_periodic)
+    kind = np.select(
+        [~alive, repeats & ~parts, ~repeats & parts, ~repeats & stays],
+        [
+            k.value
+            for k in (Regime.diverged, Regime.periodic, Regime.chaotic, Regime.quasi_periodic)
+        ],
+        Regime.undecided.value,
+    )
+    return kind.astype(np.int32)
