@@ -36,6 +36,8 @@ from vibrojax.response.methods import Shooting as Shooting
 from vibrojax.response.periodic_response import periodic_response as periodic_response
 from vibrojax.response.simulate import motion as motion
 from vibrojax.response.simulate import simulate as simulate
+from vibrojax.results.bifurcation import BifurcationDiagram as BifurcationDiagram
+from vibrojax.results.basins import Basins as Basins
 from vibrojax.results.branch import Branch as Branch
 from vibrojax.results.branch import Branches as Branches
 from vibrojax.results.branch import SpecialPoint as SpecialPoint
@@ -67,6 +69,8 @@ from vibrojax.rigs import default_rig as default_rig
 from vibrojax.stepping.method import AbstractMethod as AbstractMethod
 from vibrojax.stepping.method import ExactContact as ExactContact
 from vibrojax.stepping.method import ExponentialSplitting as ExponentialSplitting
+from vibrojax.studies.bifurcation import bifurcation_diagram as bifurcation_diagram
+from vibrojax.studies.basins import basins as basins
 from vibrojax.studies.coexisting import coexisting_responses as coexisting_responses
 from vibrojax.studies.continue_response import continue_response as continue_response
 from vibrojax.studies.fold_curves import fold_curves as fold_curves
