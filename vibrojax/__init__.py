@@ -85,6 +85,7 @@ from vibrojax.studies.maps.continuation_curves import ContinuationCurve as Conti
 from vibrojax.studies.maps.dimensions import zipped as zipped
 from vibrojax.studies.maps.periodic_points import PeriodicPoints as PeriodicPoints
 from vibrojax.studies.maps.planning import MapPlan as MapPlan
+from vibrojax.studies.maps.regime_sweep import RegimeSweep as RegimeSweep
 from vibrojax.studies.maps.responses import SettledSweep as SettledSweep
 from vibrojax.studies.maps.store import StoreFull as StoreFull
 from vibrojax.studies.parameter_map import parameter_map as parameter_map

@@ -5,8 +5,10 @@ import enum
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-QUIET = 3.0
-"""Growth of a tangent over the whole window, as a power of e, that is not told from none."""
+QUIET = 4.0
+"""Growth of a tangent over the whole window, as a power of e, that is not told from none.
+
+A motion on a torus has a bounded one, with a standard error of about as much."""
 FAR = 5.0
 """Least return error of a quasi-periodic motion, in tolerances: nearer, a transient may last."""
 CERTAIN = 3.0
@@ -70,14 +72,12 @@ def regime_of(
     total, error = np.where(known, growth, 0.0), np.where(known, growth_error, 0.0)
     parts = total > np.maximum(CERTAIN * error, QUIET)
     repeats = period > 0
-    stays = known & (np.abs(total) <= QUIET) & (return_error > FAR * tolerance)
+    sure = known & (error <= QUIET)
+    stays = sure & (np.abs(total) <= QUIET) & (return_error > FAR * tolerance)
     words = (Regime.diverged, Regime.periodic, Regime.chaotic, Regime.quasi_periodic)
     kind = np.select(
         [~alive, repeats & ~parts, ~repeats & parts, ~repeats & stays],
-        [
-            k.value
-            for k in (Regime.diverged, Regime.periodic, Regime.chaotic, Regime.quasi_periodic)
-        ],
+        [word.value for word in words],
         Regime.undecided.value,
     )
     return kind.astype(np.int32)

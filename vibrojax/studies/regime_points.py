@@ -12,7 +12,15 @@ from vibrojax.results.status import Status
 from vibrojax.studies.observing import Sampling, sample_motions
 from vibrojax.studies.strobing import Numbers, StrobePlan, Strober, Tell
 
-SWEPT = ("amplitude_ratio", "contact_force", "contact_fraction", "contacts_per_period")
+SWEPT = (
+    "amplitude_ratio",
+    "peak_ratio",
+    "rms_ratio",
+    "first_harmonic_ratio",
+    "contact_force",
+    "contact_fraction",
+    "contacts_per_period",
+)
 """What is measured as in a frequency sweep."""
 
 
@@ -109,7 +117,8 @@ def carried_points(
 ) -> dict[str, np.ndarray]:
     """Carry every lane along its values, upwards or `backward`, each from where the last ended.
 
-    Arrays have the shape (lanes, values, ...), values ascending in both directions.
+    Arrays have the shape (lanes, values, ...), values ascending in both directions; `state` is
+    the last state at each value.
     """
     lanes, count = rig.shape
     every = np.arange(lanes)
@@ -120,7 +129,7 @@ def carried_points(
         found, state = regime_points(
             strober, rig[every, at], angular_frequency[every, at], state, plan, tell
         )
-        parts.append(found)
+        parts.append(found | {"state": state})
         columns.append(at)
     place = np.stack(columns, axis=1)  # lanes, visits
     order = np.argsort(place, axis=1)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax._checks import nearest
+from vibrojax.results.regime_kinds import Regime
 from vibrojax.results.status import Status
 
 Curve = dict[str, Any]
@@ -65,6 +66,22 @@ def _aperiodic_fraction(curve: Curve) -> Any:
     return jnp.mean(curve["status"] == Status.aperiodic.value)
 
 
+def _fraction(kind: Regime) -> Callable[[Curve], Any]:
+    return lambda curve: jnp.mean(curve["regime"] == kind.value)
+
+
+def _largest(name: str) -> Callable[[Curve], Any]:
+    return lambda curve: jnp.nanmax(curve[name])
+
+
+def _most_attractors(curve: Curve) -> Any:
+    return jnp.max(curve["attractors"])
+
+
+def _least_periodic_share(curve: Curve) -> Any:
+    return jnp.min(curve["periodic_share"])
+
+
 def _given(name: str) -> Callable[[Curve], Any]:
     return lambda curve: curve[name]
 
@@ -74,19 +91,36 @@ FUNCTIONS: dict[str, Callable[[Curve], Any]] = {
     "peak_frequency": _peak_frequency,
     "resonance_shift": _resonance_shift,
     "largest_contact_force": _largest_contact_force,
+    "chaotic_fraction": _fraction(Regime.chaotic),
+    "periodic_fraction": _fraction(Regime.periodic),
+    "largest_lyapunov_exponent": _largest("lyapunov_exponent"),
+    "largest_strain_power": _largest("strain_power_rms"),
     "jump_up": _given("jump_up"),
     "jump_down": _given("jump_down"),
     "hysteresis_width": _hysteresis_width,
     "hysteresis_area": _hysteresis_area,
     "aperiodic_fraction": _aperiodic_fraction,
+    "most_attractors": _most_attractors,
+    "least_periodic_share": _least_periodic_share,
     "natural_frequency": _given("natural_frequency"),
     "fold": _given("fold"),
     "grazing": _given("grazing"),
 }
 PLACED = ("fold", "grazing")
 """Measures with several values per lane."""
-STEPWISE = ("peak_frequency", "resonance_shift", "aperiodic_fraction", "grazing")
-"""Measures that are read off the grid or counted, so that they have no derivative."""
+STEPWISE = (
+    "peak_frequency",
+    "resonance_shift",
+    "aperiodic_fraction",
+    "grazing",
+    "chaotic_fraction",
+    "periodic_fraction",
+    "largest_lyapunov_exponent",
+    "largest_strain_power",
+    "most_attractors",
+    "least_periodic_share",
+)
+"""Measures without a derivative: read off the grid, counted, or averaged over a march."""
 
 
 def measures_of(asked: Any, offered: tuple[str, ...]) -> tuple[Measure, ...]:

@@ -16,7 +16,7 @@ from vibrojax.studies.maps.rig_maker import RigMaker
 from vibrojax.studies.swept_lanes import before_jumps, numbers_of_jumps, sweep_rigs
 from vibrojax.systems.base import AbstractSystem
 
-WHOLE = ("period", "status", "periods_marched", "steps")
+WHOLE = ("period", "status", "periods_marched", "steps", "regime")
 """Variables that are whole numbers."""
 
 
@@ -78,6 +78,11 @@ class AbstractMapResponse(eqx.Module):
     @abstractmethod
     def variables(self) -> tuple[str, ...]:
         """Names of the variables over the frequency."""
+
+    @property
+    def behind(self) -> dict[str, tuple[str, int]]:
+        """Return variables with a dimension behind the frequency: its name and length."""
+        return {}
 
     @property
     @abstractmethod
@@ -197,13 +202,20 @@ def chosen_response(response: Any) -> AbstractMapResponse:
     """
     from vibrojax.studies.maps.continuation_curves import ContinuationCurve
     from vibrojax.studies.maps.periodic_points import PeriodicPoints
+    from vibrojax.studies.maps.regime_sweep import RegimeSweep
 
-    kinds = {"sweep": SettledSweep, "periodic": PeriodicPoints, "continuation": ContinuationCurve}
+    kinds: dict[str, type[AbstractMapResponse]] = {
+        "sweep": SettledSweep,
+        "periodic": PeriodicPoints,
+        "continuation": ContinuationCurve,
+        "regimes": RegimeSweep,
+    }
     if isinstance(response, AbstractMapResponse):
         return response
     if not isinstance(response, str) or response not in kinds:
         raise ValueError(
             f"response must be one of {', '.join(map(repr, kinds))}, or one of vj.SettledSweep(), "
-            f"vj.PeriodicPoints(), vj.ContinuationCurve() with settings, got {response!r}."
+            f"vj.PeriodicPoints(), vj.ContinuationCurve(), vj.RegimeSweep() with settings, got "
+            f"{response!r}."
         )
     return kinds[response]()

@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vibrojax.results.branch import axis_description, axis_unit
-from vibrojax.results.variables import VARIABLES
+from vibrojax.results.regime_kinds import Regime
+from vibrojax.results.variables import described_statistic
 from vibrojax.studies.maps.dimensions import Dimension
 from vibrojax.studies.maps.measures import PLACED, PLACES, STEPWISE, Measure
 from vibrojax.studies.maps.responses import WHOLE, AbstractMapResponse, Grid
@@ -67,9 +68,7 @@ def template_of(
     units = {"ratio": ratio_units, "axis": unit, "ratio axis": _product(ratio_units, unit)}
 
     def described(name: str) -> dict[str, Any]:
-        known = VARIABLES.get(name)
-        if known is None:
-            return {"units": "1", "long_name": name.replace("_", " ").capitalize()}
+        known = described_statistic(name)
         return {"units": units.get(known.units, known.units), "long_name": known.long_name}
 
     variables: dict[str, Described] = {}
@@ -91,7 +90,15 @@ def template_of(
             attributes = described(name)
             if name == "status":
                 attributes |= _flags(response.lane_words)
-            add(name, inner, sizes, np.int32 if name in WHOLE else float, attributes)
+            if name == "regime":
+                attributes |= _flags(tuple(kind.name for kind in Regime))
+            more = [response.behind[name]] if name in response.behind else []
+            for dimension, length in more:
+                told = described(dimension)
+                coordinates[dimension] = ((dimension,), np.arange(length), told)
+            dims = (*inner, *(dimension for dimension, _ in more))
+            shape = (*sizes, *(length for _, length in more))
+            add(name, dims, shape, np.int32 if name in WHOLE else float, attributes)
         for name in DIFFERENTIATED:
             if name in response.variables:
                 derivatives(name, inner, sizes)

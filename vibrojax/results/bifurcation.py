@@ -1,0 +1,136 @@
+"""The result of a bifurcation diagram: motions over one parameter, in both directions."""
+
+import os
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from vibrojax._checks import nearest
+from vibrojax.results.regime_dataset import dataset_of, pick, save_dataset, tally
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+Array = np.ndarray
+
+
+class PeriodChange(NamedTuple):
+    """Two neighbouring values between which the period changes."""
+
+    direction: str
+    low: float
+    high: float
+    period_low: int
+    """Drive periods at the lower value; 0 where none was found."""
+    period_high: int
+
+    @property
+    def is_doubling(self) -> bool:
+        """Whether the one period is twice the other."""
+        low, high = sorted((self.period_low, self.period_high))
+        return low > 0 and high == 2 * low
+
+
+class BifurcationDiagram(eqx.Module):
+    """Motions over one parameter, the state carried along each direction.
+
+    `diagram["displacement"]` is a variable by name: strobed displacements, of the dimensions
+    `dims` and `strobe`; the others have the dimensions `dims`.
+    """
+
+    parameter: str = eqx.field(static=True)
+    """Name of what changes: `frequency` (Hz), `frequency_ratio`, or an argument of the function."""
+    values: Float[Array, " values"]
+    directions: tuple[str, ...] = eqx.field(static=True)
+    axes: dict[str, Array]
+    """The other axes of the call, by name."""
+    variables: dict[str, Array]
+    orders: Float[Array, " orders"] | None
+    ratio_units: str = eqx.field(static=True)
+    attributes: dict[str, str] = eqx.field(static=True)
+
+    @property
+    def coordinates(self) -> dict[str, Array]:
+        """Values along every dimension of the lanes."""
+        directions = {"direction": np.array(self.directions)}
+        return self.axes | directions | {self.parameter: np.asarray(self.values)}
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Names of the dimensions of the lanes."""
+        return tuple(self.coordinates)
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.variables:
+            raise ValueError(f"Unknown variable {name!r}. {nearest(name, self.variables)}")
+        return self.variables[name]
+
+    @property
+    def period(self) -> Int[Array, "..."]:
+        """Drive periods after which the motion repeats; 0 where none was found."""
+        return self.variables["period"]
+
+    @property
+    def regime(self) -> Int[Array, "..."]:
+        """Kind of motion, as the values of `Regime`."""
+        return self.variables["regime"]
+
+    @property
+    def lyapunov_exponent(self) -> Float[Array, "..."]:
+        """Largest Lyapunov exponent, 1/s."""
+        return self.variables["lyapunov_exponent"]
+
+    def period_changes(self, **selection: Any) -> list[PeriodChange]:
+        """Return the brackets in which the period changes, by direction and value.
+
+        `selection` picks one value (nearest) of every other axis. Raises `ValueError` for an
+        unknown axis, or where one is left.
+        """
+        index, _, left = pick(self.axes, selection)
+        if left:
+            first = self.axes[left[0]][0]
+            raise ValueError(f"Give a value of {' and '.join(left)}, such as {left[0]}={first:g}.")
+        values, found = np.asarray(self.values), []
+        for direction, period in zip(self.directions, self.period[index], strict=True):
+            for k in np.flatnonzero(np.diff(period)):
+                bracket = float(values[k]), float(values[k + 1])
+                found.append(PeriodChange(direction, *bracket, int(period[k]), int(period[k + 1])))
+        return found
+
+    def period_doublings(self, **selection: Any) -> list[PeriodChange]:
+        """Return the brackets in which the period doubles or halves; see `period_changes`."""
+        return [change for change in self.period_changes(**selection) if change.is_doubling]
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return a dataset with named dimensions, units and long names."""
+        return dataset_of(
+            self.coordinates, self.variables, self.orders, self.ratio_units, self.attributes
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the dataset to a NetCDF file, whole or not at all."""
+        save_dataset(self.to_xarray(), path)
+
+    def plot(self, **selection: Any) -> "Figure":
+        """Draw strobed displacements and exponents against the parameter, in both directions.
+
+        `selection` picks one value (nearest) of every other axis, or a `direction`. Raises
+        `ValueError` for an unknown axis, or where one is left.
+        """
+        from vibrojax.results.bifurcation_plot import plot_bifurcation_diagram
+
+        return plot_bifurcation_diagram(self, **selection)
+
+    def __repr__(self) -> str:
+        shape = ", ".join(f"{name}: {len(v)}" for name, v in self.coordinates.items())
+        lines = [f"BifurcationDiagram({shape})", f"  motions   {tally(self.regime)}"]
+        if not self.axes:
+            lines += [
+                f"  {c.direction:9} period {c.period_low or 'none'} to {c.period_high or 'none'} "
+                f"between {c.low:.6g} and {c.high:.6g}"
+                for c in self.period_changes()
+            ]
+        return "\n".join(lines)
