@@ -36,8 +36,8 @@ from vibrojax.response.methods import Shooting as Shooting
 from vibrojax.response.periodic_response import periodic_response as periodic_response
 from vibrojax.response.simulate import motion as motion
 from vibrojax.response.simulate import simulate as simulate
-from vibrojax.results.bifurcation import BifurcationDiagram as BifurcationDiagram
 from vibrojax.results.basins import Basins as Basins
+from vibrojax.results.bifurcation import BifurcationDiagram as BifurcationDiagram
 from vibrojax.results.branch import Branch as Branch
 from vibrojax.results.branch import Branches as Branches
 from vibrojax.results.branch import SpecialPoint as SpecialPoint
@@ -66,11 +66,12 @@ from vibrojax.results.spectrum import Spectrum as Spectrum
 from vibrojax.results.status import Status as Status
 from vibrojax.rig_file import read_rig as read_rig
 from vibrojax.rigs import default_rig as default_rig
+from vibrojax.stepping.linearly_implicit import LinearlyImplicit as LinearlyImplicit
 from vibrojax.stepping.method import AbstractMethod as AbstractMethod
 from vibrojax.stepping.method import ExactContact as ExactContact
 from vibrojax.stepping.method import ExponentialSplitting as ExponentialSplitting
-from vibrojax.studies.bifurcation import bifurcation_diagram as bifurcation_diagram
 from vibrojax.studies.basins import basins as basins
+from vibrojax.studies.bifurcation import bifurcation_diagram as bifurcation_diagram
 from vibrojax.studies.coexisting import coexisting_responses as coexisting_responses
 from vibrojax.studies.continue_response import continue_response as continue_response
 from vibrojax.studies.fold_curves import fold_curves as fold_curves
@@ -81,6 +82,7 @@ from vibrojax.studies.identification.least_squares import (
 from vibrojax.studies.identification.least_squares import Optax as Optax
 from vibrojax.studies.identify import identify as identify
 from vibrojax.studies.identify import identify_each as identify_each
+from vibrojax.studies.maps.basin_fractions import BasinFractions as BasinFractions
 from vibrojax.studies.maps.continuation_curves import ContinuationCurve as ContinuationCurve
 from vibrojax.studies.maps.dimensions import zipped as zipped
 from vibrojax.studies.maps.periodic_points import PeriodicPoints as PeriodicPoints
@@ -97,7 +99,11 @@ from vibrojax.systems.base import AbstractEquations as AbstractEquations
 from vibrojax.systems.base import AbstractSystem as AbstractSystem
 from vibrojax.systems.base import LinearEquations as LinearEquations
 from vibrojax.systems.base import Motion as Motion
+from vibrojax.systems.elastic_pendulum import ElasticPendulum as ElasticPendulum
+from vibrojax.systems.elastic_pendulum import Limiters as Limiters
+from vibrojax.systems.elastic_pendulum import default_pendulum as default_pendulum
 from vibrojax.systems.impacting_beam import ImpactingBeam as ImpactingBeam
+from vibrojax.systems.linearised_pendulum import LinearisedPendulum as LinearisedPendulum
 from vibrojax.systems.matrix_system import MatrixModes as MatrixModes
 from vibrojax.systems.matrix_system import MatrixSystem as MatrixSystem
 

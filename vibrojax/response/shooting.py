@@ -14,11 +14,9 @@ from vibrojax.response.implicit import frozen, with_columns
 from vibrojax.response.methods import Shooting
 from vibrojax.results.periodic_response import PeriodicResponse, Sampled, reading_of
 from vibrojax.stepping.elementary import cubic_maximum
-from vibrojax.stepping.method import ExactContact, ExponentialSplitting
 from vibrojax.systems.base import (
     AbstractEquations,
     AbstractSystem,
-    LinearEquations,
     Motion,
     touching_stops,
 )
@@ -47,11 +45,7 @@ def shoot(
     """Solve for the motion that returns after `period` drive periods; see `periodic_response`."""
     solver = method.solver
     if solver is None:
-        equations = eqx.filter_eval_shape(system.equations)
-        if isinstance(equations, LinearEquations):
-            solver = ExactContact(1e-6) if exact else ExponentialSplitting(1e-4)
-        else:
-            solver = diffrax.Tsit5()
+        solver = choose_method(system, None, 1e-6 if exact else 1e-4, None)
     return _shoot(system, value, is_ratio, period, state, method, solver)
 
 

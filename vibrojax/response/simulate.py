@@ -45,7 +45,10 @@ def motion(
     if waveform is None:
         if frequency is None:
             if not isinstance(equations, LinearEquations):
-                raise ValueError("This system has no natural frequency: give frequency in Hz.")
+                raise ValueError(
+                    "This system has no natural frequency: give frequency in Hz, which sets the "
+                    "steps where nothing drives."
+                )
             natural = equations.angular_frequency[0] / (2 * jnp.pi)
             # Without a drive the first natural frequency only serves as a clock.
             frequency = natural * (1.0 if frequency_ratio is None else frequency_ratio)
@@ -90,7 +93,8 @@ def simulate(
             at rest by default.
         release: instead, let the beam go from the static deflection with this tip displacement, m.
         solver: any diffrax solver. By default `ExactContact` where the stops are linear in
-            contact, else `ExponentialSplitting`; both take equal steps, others a PID controller.
+            contact, else `ExponentialSplitting`, or `LinearlyImplicit` for a system that is not
+            linear; these take equal steps, others a PID controller.
         stepsize_controller: for other solvers; by default `PIDController(tolerance, tolerance)`
             with steps of at most a fortieth of a period, lest a contact be stepped over.
         tolerance: relative error to aim at.

@@ -4,6 +4,7 @@ import equinox as eqx
 
 from vibrojax.contact import Stop
 from vibrojax.stepping.contact_phases import MAX_STOPS, ContactPhases, contact_phases
+from vibrojax.stepping.linearly_implicit import LinearlyImplicit
 from vibrojax.stepping.method import AbstractMethod, ExactContact, ExponentialSplitting
 from vibrojax.systems.base import AbstractEquations, AbstractSystem, LinearEquations
 
@@ -11,11 +12,18 @@ from vibrojax.systems.base import AbstractEquations, AbstractSystem, LinearEquat
 def _stops(system: AbstractSystem) -> tuple[Stop, ...]:
     """Stops of a system, with their numbers concrete where the system holds them itself."""
     own = getattr(system, "stops", None)
-    return own if own is not None else eqx.filter_eval_shape(system.equations).stops
+    return own if own is not None else _shapes(system).stops
+
+
+def _shapes(system: AbstractSystem) -> AbstractEquations:
+    """Equations without their numbers."""
+    return eqx.filter_eval_shape(system.equations)
 
 
 def is_exact(system: AbstractSystem) -> bool:
     """Return whether flight and contact of the system can be propagated exactly."""
+    if not isinstance(_shapes(system), LinearEquations):
+        return False
     stops = _stops(system)
     return all(stop.is_linear for stop in stops) and len(stops) <= MAX_STOPS
 
@@ -33,13 +41,18 @@ def choose_method(
     exact = is_exact(system)
     if isinstance(method, ExactContact) and not exact:
         raise ValueError(
-            f"ExactContact needs at most {MAX_STOPS} stops that are linear in contact, with no "
-            "smoothing. Use ExponentialSplitting(), or leave the method to vibrojax."
+            f"ExactContact needs a system that is linear but for at most {MAX_STOPS} stops that "
+            "are linear in contact, with no smoothing. Use ExponentialSplitting() or "
+            "LinearlyImplicit(), or leave the method to vibrojax."
         )
     if method is not None:
         return method
-    kind = ExactContact if exact else ExponentialSplitting
-    return kind(tolerance, steps_per_period)
+    if exact:
+        return ExactContact(tolerance, steps_per_period)
+    shapes = _shapes(system)
+    modal = isinstance(shapes, LinearEquations) and shapes.damping_coupling is None
+    # Modes that the damping couples have no exact drift of their own.
+    return (ExponentialSplitting if modal else LinearlyImplicit)(tolerance, steps_per_period)
 
 
 _contact_phases = eqx.filter_jit(contact_phases)

@@ -38,6 +38,11 @@ class AbstractEquations(eqx.Module):
         """How many coordinates there are."""
 
     @property
+    def has_constant_mass(self) -> bool:
+        """Whether M does not hang on q."""
+        return False
+
+    @property
     def memory_size(self) -> int:
         """How many stops have an internal state (`AbstractMemoryLaw`)."""
         return sum(stop.has_memory for stop in self.stops)
@@ -195,6 +200,11 @@ class LinearEquations(AbstractEquations):
     def size(self) -> int:
         """How many coordinates there are."""
         return self.angular_frequency.shape[0]
+
+    @property
+    def has_constant_mass(self) -> bool:
+        """Whether M does not hang on q: so it is."""
+        return True
 
     def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
         """Return the diagonal of modal masses."""
