@@ -191,7 +191,9 @@ class Strober(eqx.Module):
     @property
     def weight(self) -> Float[np.ndarray, "rigs states"]:
         """Weights that make states comparable: norms of weighted states are energies."""
-        return np.asarray(self.prepared.march.energy_weight()).T
+        kept = self.prepared.march
+        march = jax.tree.map(lambda a: jnp.asarray(a) if eqx.is_array(a) else a, kept)
+        return np.asarray(march.energy_weight()).T
 
     @property
     def states(self) -> int:
