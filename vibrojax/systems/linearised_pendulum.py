@@ -6,7 +6,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from vibrojax._checks import check_count, check_positive
-from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive
 from vibrojax.systems.base import AbstractGauge, AbstractSystem, LinearEquations
 from vibrojax.systems.pendulum_equations import PendulumEquations, pendulum_observables
@@ -37,8 +36,9 @@ class LinearisedPendulum(AbstractSystem):
     """An `ElasticPendulum` for small angles, reduced to modes of the free pendulum.
 
     The lowest mode falls away from the vertical. Coordinates are modal, with modal masses of 1;
-    `angles` and `modal_coordinates` go to angles and back. What a beam does, it does:
-    exact contact, continuation, harmonic balance. Source: Litak et al., eqs. 1 to 6.
+    `angles` and `modal_coordinates` go to angles and back. It is stepped by `LinearlyImplicit`: its
+    limiters, whose damping stops the pendulum within microseconds, are too stiff for
+    `ExactContact`. Source: Litak et al., eqs. 1 to 6.
 
     Raises `ValueError` for fewer than 1 mode, more modes than links, or a gravity of 0, at which
     the lowest mode has no stiffness.
@@ -66,12 +66,6 @@ class LinearisedPendulum(AbstractSystem):
     def drive(self) -> AbstractDrive:  # pyright: ignore[reportIncompatibleVariableOverride]
         """What drives the pendulum."""
         return self.pendulum.drive
-
-    @property
-    def stops(self) -> tuple[Stop, ...]:
-        """The limiters as stops."""
-        limiters = getattr(self.pendulum, "limiters", None)
-        return () if limiters is None else limiters.stops()
 
     def _equations(self) -> PendulumEquations:
         equations = self.pendulum.equations()
