@@ -29,7 +29,7 @@ OF_ATTRACTORS = (
 )
 
 
-def standard_error(share: Any, count: int) -> Float[Array, "..."]:
+def standard_error(share: Any, count: int) -> float | Float[Array, "..."]:
     """Return the standard error of a share of `count` independent random starts.
 
     That of the binomial distribution, sqrt(share (1 - share)/count). Source: Menck et al. 2013,
@@ -39,7 +39,7 @@ def standard_error(share: Any, count: int) -> Float[Array, "..."]:
     return np.sqrt(share * (1 - share) / count)
 
 
-def wilson_interval(share: Any, count: int) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+def wilson_interval(share: Any, count: int) -> tuple[Any, Any]:
     """Return the 95 % interval of a share of `count` independent random starts.
 
     That of Wilson 1927, which is not empty where the share is 0 or 1.
@@ -54,7 +54,7 @@ def wilson_interval(share: Any, count: int) -> tuple[Float[Array, "..."], Float[
     return np.clip(middle - half, 0.0, 1.0), np.clip(middle + half, 0.0, 1.0)
 
 
-def boundary_share(number: Int[Array, "... rows columns"]) -> Float[Array, "..."]:
+def boundary_share(number: Int[Array, "... rows columns"]) -> float | Float[Array, "..."]:
     """Return the share of the cells of a grid that touch, by a side, one of another basin."""
     edge = np.zeros(number.shape, bool)
     down = number[..., 1:, :] != number[..., :-1, :]
@@ -94,6 +94,8 @@ class Basins(eqx.Module):
     """Rms of the rate of the strain energy, W."""
     periods_marched: Int[Array, "..."]
     """Drive periods marched with every start."""
+    units: dict[str, str] = eqx.field(static=True)
+    """Of the two numbers, by name; empty where they were not told."""
     attributes: dict[str, str] = eqx.field(static=True)
 
     @property
@@ -133,7 +135,7 @@ class Basins(eqx.Module):
         """
         if self.sampling != "grid":
             raise ValueError("Random starts have no cells: give starts='grid' to basins.")
-        return boundary_share(self.attractor)[()]
+        return boundary_share(self.attractor)
 
     @property
     def diverged_share(self) -> float | Float[Array, "..."]:
@@ -146,11 +148,20 @@ class Basins(eqx.Module):
         return np.sum(np.where(self.period > 0, self.share, 0.0), axis=-1)[()]
 
     def name_of(self, attractor: int, index: tuple[int, ...] = ()) -> str:
-        """Return what an attractor is, in words; `index` is the place along the other axes."""
-        k = (*index, attractor - 1)
-        period = int(self.period[k])
-        kind = f"period {period}" if period else "no period"
-        return f"{kind}{', crosses the barrier' if self.cross_well[k] else ''}"
+        """Return what an attractor is, in words; `index` is the place along the other axes.
+
+        Attractors that are alike in this are told apart by their mean displacements.
+        """
+
+        def words(k: int) -> str:
+            period = int(self.period[(*index, k)])
+            kind = f"period {period}" if period else "no period"
+            return kind + (", crosses the barrier" if self.cross_well[(*index, k)] else "")
+
+        own = words(attractor - 1)
+        alike = sum(words(k) == own for k in range(self.period.shape[-1]))
+        mean = self.mean_displacement[(*index, attractor - 1)]
+        return f"{own}, mean {mean:.3g} m" if alike > 1 else own
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset over the axes, the starts and `attractor_number`, with units and names.
@@ -187,7 +198,8 @@ class Basins(eqx.Module):
         for name, axis in self.axes.items():
             coordinates[name] = (name, axis, told(name) if name in VARIABLES else {})
         for name, axis in self.starts.items():
-            coordinates[name] = (name if self.sampling == "grid" else "start", axis)
+            dimension = name if self.sampling == "grid" else "start"
+            coordinates[name] = (dimension, axis, {"units": self.units.get(name, "1")})
         coordinates["attractor_number"] = np.arange(1, self.period.shape[-1] + 1)
         return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
 
@@ -244,8 +256,8 @@ class Basins(eqx.Module):
             for k, share in enumerate(self.share[index]):
                 error = 100 * self.standard_error[(*index, k)]
                 lines.append(
-                    f"  {k + 1}: {self.name_of(k + 1, index):<32s} {100 * share:6.2f} +- "
-                    f"{error:.2f} %, mean {self.mean_displacement[(*index, k)]:.4g} m"
+                    f"  {k + 1}: {self.name_of(k + 1, index):<48s} {100 * share:6.2f} +- "
+                    f"{error:.2f} %"
                 )
         diverged = float(np.mean(self.diverged_share))
         if diverged:

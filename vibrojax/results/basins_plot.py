@@ -51,7 +51,7 @@ def plot_basins(basins: "Basins", **selection: Any) -> Figure:
     figure, axes = new_picture()
     axes.grid(False)
     colors = ListedColormap(shades)
-    limits = {"vmin": -0.5, "vmax": len(shades) - 0.5}
+    limits: dict[str, Any] = {"vmin": -0.5, "vmax": len(shades) - 0.5}
     if basins.sampling == "grid":
         edges = [_edges(np.asarray(place, float)) for place in places]
         axes.pcolormesh(*edges, number.T, cmap=colors, rasterized=True, **limits)
@@ -59,8 +59,9 @@ def plot_basins(basins: "Basins", **selection: Any) -> Figure:
         size = float(np.clip(3000 / max(number.size, 1), 4, 40))
         style = {"s": size, "edgecolors": "black", "linewidths": 0.2}
         axes.scatter(*places, c=number, cmap=colors, **style, **limits)
-    axes.set_xlabel(names[0].replace("_", " ").capitalize(), fontsize=LABEL)
-    axes.set_ylabel(names[1].replace("_", " ").capitalize(), fontsize=LABEL)
+    told = [f"{n.replace('_', ' ')} ({u})" if (u := basins.units.get(n)) else n for n in names]
+    axes.set_xlabel(told[0], fontsize=LABEL)
+    axes.set_ylabel(told[1], fontsize=LABEL)
     if chosen:
         title = ", ".join(f"{name} = {value:g}" for name, value in chosen.items())
         axes.set_title(title, fontsize=SMALL, loc="left")

@@ -4,7 +4,8 @@ All starts are marched window by window. A start whose motion returns is parked;
 parked ones a candidate marches on until it is closer to its limit, whose strobed states then are an
 attractor, and the parked starts near any of these states are its. So only few starts are followed
 to their limit, and near misses (a start that lingers at a saddle) are found out, as their candidate
-leaves it again.
+leaves it again. Pilots go first: the others arrive, in shorter windows, where they run along an
+attractor that is known.
 """
 
 from collections.abc import Callable
@@ -16,7 +17,13 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.studies.observing import Sampling, sample_motions
 from vibrojax.studies.strobing import StrobePlan, Strober, width_for
 
-MARCHING, CANDIDATE, PARKED, ARRIVED, APERIODIC, LOST = range(6)
+MARCHING, CANDIDATE, PARKED, ARRIVED, APERIODIC, LOST, WAITING = range(7)
+PILOTS = 16
+"""Starts of a place that go first, at least, to find its main attractors."""
+SHORT = 6
+"""Drive periods of the windows in which the other starts are followed onto known attractors."""
+FOLLOWED = 8
+"""Such windows, after which a start may be on an attractor that is not known yet."""
 CANDIDATES = 8
 """Candidates of a place that march at the same time."""
 CLOSER = 20.0
@@ -29,6 +36,7 @@ MOST = 64
 """Periodic attractors told apart at one place."""
 WATCHED = (24, 60)
 """Drive periods over which means and powers are taken: the first that all periods divide."""
+TINY = 1e-300
 SAMPLES = 32
 """Samples per drive period of what is watched."""
 
@@ -99,6 +107,62 @@ class _Search:
 
     def run(self) -> None:
         """Bring every start to an end."""
+        count = len(self.place) // len(self.orbits)
+        first = max(PILOTS, self.width // len(self.orbits))
+        pilots = np.random.default_rng(0).permutation(count)[:first]
+        self.stage[:] = WAITING
+        self.stage.reshape(-1, count)[:, pilots] = MARCHING
+        self._settle()
+        self._follow()
+        self.stage[self.stage == WAITING] = MARCHING
+        self._settle()
+
+    def _follow(self) -> None:
+        """March what waits until it runs along one of the attractors that are known."""
+        known = np.array([bool(orbits) for orbits in self.orbits])
+        for _ in range(FOLLOWED):
+            lanes = np.flatnonzero((self.stage == WAITING) & known[self.place])
+            if not lanes.size:
+                return
+            record = self._record(lanes)
+            self.state[lanes] = record[:, -1]
+            self.marched[lanes] += SHORT
+            alive = np.isfinite(record[:, -1]).all(axis=1)
+            self._end(lanes[~alive], LOST)
+            for place in np.unique(self.place[lanes[alive]]):
+                own = alive & (self.place[lanes] == place)
+                self._join(place, lanes[own], record[own] * self.weight[place])
+
+    def _record(self, lanes):
+        """Return the states of some lanes after each period of a short window."""
+        every = self._filled(lanes)
+        rig, frequency, state = self.rig[every], self.frequency[every], self.state[every]
+        return self.strober.strobes(rig, frequency, state, SHORT)[: len(lanes)]
+
+    def _join(self, place, lanes, record):
+        """Let lanes arrive that run along an orbit of their place all through a short window."""
+        from scipy.spatial.distance import cdist
+
+        rows, best = np.arange(len(lanes)), np.full(len(lanes), np.inf)
+        orbit, shift = np.zeros(len(lanes), int), np.zeros(len(lanes), int)
+        back = np.arange(SHORT)[::-1]
+        for k, known in enumerate(self.orbits[place]):
+            n = known.period
+            away = cdist(record.reshape(-1, record.shape[2]), known.strobes)
+            away = away.reshape(len(lanes), SHORT, n) / max(known.size, TINY)
+            # By the strobe at which the window would end.
+            path = [away[:, np.arange(SHORT), (end - back) % n].max(axis=1) for end in range(n)]
+            end = np.argmin(path, axis=0)
+            farthest = np.array(path)[end, rows]
+            nearer = farthest < best
+            best, orbit = np.where(nearer, farthest, best), np.where(nearer, k, orbit)
+            shift = np.where(nearer, (end - self.marched[lanes]) % n, shift)
+        near = best <= self.plan.tolerance
+        self.orbit[lanes[near]], self.shift[lanes[near]] = orbit[near], shift[near]
+        self._end(lanes[near], ARRIVED)
+
+    def _settle(self) -> None:
+        """March what marches, window by window, and find the attractors."""
         budget = self.plan.transient + self.plan.periods
         while True:
             lanes = np.flatnonzero(self.stage <= CANDIDATE)
@@ -153,17 +217,19 @@ class _Search:
         if not ready.size:
             return
         chosen = lanes[ready]
-        every = self._filled(chosen)
-        record = self.strober.strobes(
-            self.rig[every], self.frequency[every], self.state[every], self.plan.max_period
-        )
+        parts, begin = [self.state[chosen][:, None]], self.state[chosen].copy()
+        for _ in range(-(-self.plan.max_period // SHORT)):
+            parts.append(self._record(chosen))
+            self.state[chosen] = parts[-1][:, -1]
+        self.state[chosen] = begin
+        record = np.concatenate(parts, axis=1)
         for k, lane in enumerate(chosen):
             self.stage[lane] = PARKED
             place, n = self.place[lane], int(period[ready[k]])
             self._match(place)
             if self.stage[lane] == ARRIVED:
                 continue
-            strobes = np.concatenate([self.state[lane][None], record[k]])[:n]
+            strobes = record[k, :n]
             # From the same phase whichever start was the candidate.
             strobes = np.roll(strobes, -int(np.argmin(strobes[:, 0])), axis=0)
             self.orbits[place].append(_Orbit(strobes * self.weight[place], strobes[0]))
@@ -176,7 +242,7 @@ class _Search:
         states = self._weighted(lanes)
         away = [cdist(states, orbit.strobes) for orbit in self.orbits[place]]
         nearest = np.stack([a.argmin(axis=1) for a in away], axis=1)
-        sizes = [max(orbit.size, 1e-300) for orbit in self.orbits[place]]
+        sizes = [max(orbit.size, TINY) for orbit in self.orbits[place]]
         distance = np.stack([a.min(axis=1) / s for a, s in zip(away, sizes, strict=True)], axis=1)
         return distance, nearest
 

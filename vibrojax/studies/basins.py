@@ -35,12 +35,13 @@ def basins(
     samples: int = 1000,
     seed: int = 0,
     transient: int = 200,
-    periods: int = 40,
+    periods: int = 24,
     max_period: int = 12,
-    tolerance: float = 0.01,
-    barrier: float = 0.0,
+    tolerance: float | int = 0.01,
+    barrier: float | int = 0.0,
     distinguish_phases: bool = False,
     method: AbstractMethod | None = None,
+    units: dict[str, str] | None = None,
     progress: bool | None = None,
     **axes: Any,
 ) -> Basins:
@@ -50,7 +51,8 @@ def basins(
             return angle * shape, rate * shape          # (q, q') at drive phase 0
 
         found = vj.basins(rig, frequency=5.7, start=start,
-                          angle=np.linspace(-0.2, 0.2, 100), rate=np.linspace(-5, 5, 100))
+                          angle=np.linspace(-0.2, 0.2, 100), rate=np.linspace(-5, 5, 100),
+                          units=dict(angle="rad", rate="rad/s"))
 
     Every start is marched in windows of `periods` drive periods until its motion returns and is
     near an attractor, itself followed closer to its limit by a few of the starts; what has arrived
@@ -76,6 +78,7 @@ def basins(
         barrier: displacement between the wells, m, for `cross_well`.
         distinguish_phases: count the n shifts of a period-n orbit as n attractors.
         method: how to step, as of `frequency_sweep`.
+        units: of the two numbers, by name, for datasets and pictures.
         progress: show a progress bar; by default on long runs in a terminal.
         axes: the two lists of numbers of `start`, increasing, and arguments of `system`.
 
@@ -85,9 +88,11 @@ def basins(
     """
     check_choice("starts", starts, ("grid", "random"))
     plan = basin_plan(transient, periods, max_period, tolerance, barrier, distinguish_phases)
-    single = np.ndim(frequency if frequency is not None else frequency_ratio) == 0
+    given: Any = frequency_ratio if frequency is None else frequency
+    single = np.ndim(given) == 0
     axis, grid = frequency_axis(frequency_ratio, frequency)
     names = numbers_of(start)
+    told = _units(names, units)
     places = places_of(names, axes, starts, samples, seed)
     lanes = lanes_of(system, {name: value for name, value in axes.items() if name not in names})
     check_drive(lanes.sample)
@@ -109,6 +114,7 @@ def basins(
         axes=outer,
         starts=places,
         sampling=starts,
+        units=told,
         attributes={
             "title": "vibrojax basins of attraction",
             "rig": lanes.description,
@@ -127,8 +133,8 @@ def basin_plan(
     transient: int,
     periods: int,
     max_period: int,
-    tolerance: float,
-    barrier: float,
+    tolerance: float | int,
+    barrier: float | int,
     distinguish_phases: bool,
 ) -> BasinPlan:
     """Check the settings of a search for attractors. Raises `ValueError` as `basins` does."""
@@ -243,6 +249,16 @@ def attractors_over(
     angular = np.tile(grid, len(first)) * unit[rig]
     starts = np.broadcast_to(states, (len(rig), *states.shape))
     return find_attractors(strober, rig, angular, starts, plan, tell)
+
+
+def _units(names: tuple[str, ...], units: dict[str, str] | None) -> dict[str, str]:
+    units = {} if units is None else units
+    for name in units:
+        if name not in names:
+            raise ValueError(
+                f"units are of the numbers of start, got {name!r}. {nearest(name, names)}"
+            )
+    return units
 
 
 def _tables(found: list[Attractors], shape: tuple[int, ...], inner: tuple[int, ...]) -> Any:
