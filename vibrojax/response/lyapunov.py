@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
+from scipy.signal.windows import tukey
 
 from vibrojax._checks import check_count, check_positive, check_range
 from vibrojax.response.simulate import motion
@@ -29,6 +30,9 @@ ALIGNING = 20
 """Intervals that the tangent gets to turn into the direction of fastest growth."""
 BATCHES = 20
 """Batches of intervals from which the standard error is estimated, at most."""
+
+FADING = 0.25
+"""Share of the record over which the mean fades out, at both ends together."""
 
 
 class Growth(NamedTuple):
@@ -82,8 +86,9 @@ def mean_rate(
 ) -> tuple[Float[Array, "*lanes"], Float[Array, "*lanes"]]:
     """Return the exponent, 1/s, and its standard error, from growths over intervals (s).
 
-    The error is that of the means of batches, whose length grows with the record, so that growths
-    that hang together do not make it look small.
+    The mean fades out at both ends of the record, so that a growth that goes up and down, as that
+    of a turning tangent, leaves hardly a trace. The error is that of the means of batches, whose
+    length grows with the record, so that growths that hang together do not make it look small.
     """
     count = log_growth.shape[0]
     batches = min(BATCHES, max(2, math.isqrt(count)))
@@ -92,8 +97,12 @@ def mean_rate(
         raise ValueError(f"log_growth must have at least 2 intervals, got {count}.")
     kept = log_growth[count - batches * length :]
     means = jnp.mean(kept.reshape((batches, length, *log_growth.shape[1:])), axis=1)
+    weight = tukey(count + 2, FADING)[1:-1]  # without its zeros
+    weight = weight / weight.sum()
     error = jnp.std(means, axis=0, ddof=1) / math.sqrt(batches)
-    return jnp.mean(log_growth, axis=0) / interval, error / interval
+    error = error * math.sqrt(count * np.sum(weight**2))  # fewer intervals count fully
+    mean = jnp.tensordot(jnp.asarray(weight), log_growth, axes=1)
+    return mean / interval, error / interval
 
 
 def drive_period(

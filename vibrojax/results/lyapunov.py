@@ -13,7 +13,7 @@ class LyapunovExponent(eqx.Module):
     standard_error: Float[Array, ""]
     """Standard error of it, 1/s, from the means of batches of drive periods."""
     rates: Float[Array, " periods"]
-    """Rate in every drive period, 1/s; the exponent is their mean."""
+    """Rate in every drive period, 1/s; the exponent is their mean, faded out at both ends."""
     final_state: Float[Array, " states"]
     """State (q, q', memories) at the end, at drive phase 0."""
     period: Float[Array, ""]

@@ -69,7 +69,8 @@ def _sampled(
         equations = rig.equations
         run = Motion(equations, rig.drive, Harmonic(frequency / (2 * jnp.pi)))
         interval = 2 * jnp.pi / frequency / per_period
-        kept = method.init(None, 0.0, interval, state, run)
+        step = interval / count
+        kept = method.init(None, 0.0, step, state, run)  # which may be for this step only
 
         def look(state: Array):
             q, rate, _ = equations.split(state)
@@ -88,16 +89,12 @@ def _sampled(
                 for name, value in values.items()
             }
             begin = (k % per_period) * interval
-            if isinstance(method, ExactContact):
-                after = method.advance(run, begin, interval, state, kept)
-            else:
-                step = interval / count
-                after = lax.fori_loop(
-                    0,
-                    count,
-                    lambda i, s: method.advance(run, begin + i * step, step, s, kept),
-                    state,
-                )
+
+            def on(i: Array, state: Array) -> Array:
+                return method.advance(run, begin + i * step, step, state, kept)
+
+            single = isinstance(method, ExactContact)
+            after = on(jnp.zeros(()), state) if single else lax.fori_loop(0, count, on, state)
             return (after, sums), (seen["displacement"], rates["displacement"])
 
         names = [*jax.eval_shape(look, state)[0], "strain_power"]

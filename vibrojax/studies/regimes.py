@@ -152,13 +152,13 @@ def start_states(
     """
     equations = as_arrays(sample).equations()
     size = equations.state_size
+    if start_size is not None and (isinstance(starts, bool) or not isinstance(starts, int)):
+        raise ValueError("start_size is for random starts: give it with a number of them.")
     if starts is None:
         return np.zeros((1, size))
     if isinstance(starts, int) and not isinstance(starts, bool):
         check_count("starts", starts)
         return _random_states(equations, starts, start_size, seed)
-    if start_size is not None:
-        raise ValueError("start_size is for random starts: give it with a number of them.")
     try:
         states = np.asarray(starts, float)
     except (TypeError, ValueError):
@@ -185,18 +185,21 @@ def _random_states(equations: Any, count: int, start_size: float | None, seed: i
             )
         start_size = float(clearance.max())
     check_positive("start_size", start_size, "m")
-    # Equal energies are equally likely: independent in the modes of stiffness and mass.
-    stiffness = np.asarray(jax.jacfwd(lambda q: equations.linear_force(q, rest))(rest))
-    mass = np.asarray(equations.mass(rest))
+    # Equal energies are equally likely: independent in the modes about rest, also of those that
+    # fall away from it, by the size of their stiffness.
     from scipy.linalg import eigh
 
-    squares, shapes = eigh(mass, stiffness + 1e-9 * np.trace(stiffness) / np.trace(mass) * mass)
+    def pull(q: jax.Array) -> jax.Array:
+        return equations.linear_force(q, rest) - equations.smooth_force(q, rest)
+
+    stiffness = np.asarray(jax.jit(jax.jacfwd(pull))(rest))
+    squares, shapes = eigh((stiffness + stiffness.T) / 2, np.asarray(equations.mass(rest)))
+    squares = np.maximum(np.abs(squares), 1e-9 * np.abs(squares).max())
+    shapes_of_energy = shapes / np.sqrt(squares)
     draw = np.random.default_rng(seed).normal(size=(2, count, n))
-    # eigh scales the shapes to unit strain energy; mass has the eigenvalues `squares` in them.
-    q = draw[0] @ shapes.T
-    rate = (draw[1] / np.sqrt(squares)) @ shapes.T
+    q, rate = draw[0] @ shapes_of_energy.T, draw[1] @ shapes.T
     slope = np.asarray(jax.grad(equations.response)(rest))
-    scale = start_size / np.linalg.norm(slope @ shapes)
+    scale = start_size / np.linalg.norm(slope @ shapes_of_energy)
     q, rate = scale * q, scale * rate
     depth = jax.jit(jax.vmap(equations.penetration))
     for _ in range(60):  # drawn back until none begins inside of a stop

@@ -1,0 +1,121 @@
+"""Bifurcation diagrams: the motion carried along a parameter, up and down."""
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.results.bifurcation import PeriodChange
+from vibrojax.studies.axes import lanes_of
+from vibrojax.studies.bifurcation import _course
+
+UNIT = 2 * np.pi
+SETTINGS = {
+    "transient": 150,
+    "periods": 120,
+    "max_period": 8,
+    "samples_per_period": 16,
+    "progress": False,
+}
+W = np.array([0.87, 0.89, 0.915, 0.925, 0.9275, 0.9295, 0.94])
+
+
+def oscillator(gap=1.0, damping=0.1):
+    """x'' + damping x' + x + 50 max(x - gap, 0) = 0.3 cos(w t)."""
+    return vj.MatrixSystem(
+        [[1.0]],
+        [[damping]],
+        [[1.0]],
+        stops=vj.Stop(None, gap, vj.KelvinVoigt(50.0)),
+        stop_map=[[1.0]],
+        drive=vj.PointForce(0.3),
+        input_map=[1.0],
+        response_map=[1.0],
+    )
+
+
+@pytest.fixture(scope="module")
+def diagram():
+    return vj.bifurcation_diagram(oscillator, frequency=W / UNIT, gap=[1.0, 10.0], **SETTINGS)
+
+
+def test_period_doubling_is_bracketed_in_both_directions(diagram):
+    found = [c for c in diagram.period_doublings(gap=1.0) if c.period_high == 1]
+    assert [c.direction for c in found] == ["forward", "backward"]
+    for change in found:
+        assert change.low * UNIT < 0.9285 < change.high * UNIT
+        assert change.period_low == 2
+    assert diagram.period_doublings(gap=10.0) == []
+
+
+def test_directions_differ_where_motions_coexist(diagram):
+    assert diagram.dims == ("gap", "direction", "frequency")
+    assert diagram["displacement"].shape == (2, 2, len(W), SETTINGS["periods"])
+    period, regime = diagram.period[0], diagram.regime[0]
+    assert period[0, :2].tolist() == [3, 3]
+    assert regime[1, 1] == vj.Regime.chaotic.value  # the chaos that comes down from above
+    assert (period[:, -1] == 1).all()
+    assert (diagram.period[1] == 1).all()
+    spread = np.ptp(diagram["displacement"][0], axis=-1)
+    assert (spread[:, -1] < 1e-6).all()
+
+
+def test_first_values_are_those_of_regimes(diagram):
+    alone = vj.regimes(oscillator, frequency=W[:1] / UNIT, gap=[1.0, 10.0, 12.0], **SETTINGS)
+    for name in ("period", "lyapunov_exponent", "strain_power_rms"):
+        np.testing.assert_allclose(
+            diagram[name][:, 0, 0], alone[name][:2, 0], rtol=1e-6, err_msg=name
+        )
+
+
+def test_what_is_carried():
+    lanes = lanes_of(oscillator, {"gap": [1.0, 1.1, 1.2], "damping": [0.1, 0.2]})
+    grid = np.array([0.1, 0.2, 0.3, 0.4])
+    course = _course(lanes, "frequency", grid, None)
+    assert course.name == "frequency"
+    assert course.rig.shape == (6, 4)
+    np.testing.assert_array_equal(course.rig, np.arange(6)[:, None] * np.ones(4))
+    np.testing.assert_array_equal(course.frequency, np.ones((6, 1)) * grid)
+    course = _course(lanes, "frequency", grid, "gap")
+    assert list(course.axes) == ["damping", "frequency"]
+    assert course.rig.shape == (8, 3)
+    np.testing.assert_array_equal(course.rig[0], [0, 2, 4])
+    np.testing.assert_array_equal(course.rig[4], [1, 3, 5])
+    np.testing.assert_array_equal(course.frequency[:, 0], np.tile(grid, 2))
+    only = lanes_of(oscillator, {"gap": [1.0, 1.1]})
+    assert _course(only, "frequency", grid[:1], None).name == "gap"
+
+
+def test_doublings_among_changes():
+    ends = [(1, 2, True), (4, 2, True), (0, 4, False), (2, 3, False), (0, 0, False)]
+    for low, high, doubles in ends:
+        assert PeriodChange("forward", 0.0, 1.0, low, high).is_doubling == doubles
+
+
+def test_dataset_and_picture(diagram):
+    dataset = diagram.to_xarray()
+    assert dataset.displacement.dims == ("gap", "direction", "frequency", "strobe")
+    assert dataset.direction.values.tolist() == ["forward", "backward"]
+    figure = diagram.plot(gap=1.0)
+    figure.canvas.draw()
+    assert all(axes.get_ylabel() for axes in figure.axes)
+    assert figure.axes[-1].get_xlabel() == "Drive frequency (Hz)"
+    diagram.plot(gap=1.0, direction="backward").canvas.draw()
+    with pytest.raises(ValueError, match="Give a value of gap"):
+        diagram.plot()
+    assert "BifurcationDiagram(gap: 2, direction: 2, frequency: 7)" in repr(diagram)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"frequency": [0.2, 0.3], "along": "gap"}, "along must name a list, got 'gap'"),
+        ({"frequency": 0.2, "gap": [1.1, 1.0]}, "gap must increase strictly, got 1.1 then 1.0"),
+        ({"frequency": 0.2, "gap": [1.0, 1.1], "damping": [0.1, 0.2]}, "say which the motion"),
+        ({"frequency": 0.2, "direction": "up"}, "direction must be one of"),
+        ({"frequency": 0.2, "start": [0.0]}, r"states \(q, q'\) of shape \(starts, 2\)"),
+        ({"frequency": 0.2, "periods": 10}, "periods must be a whole number of at least 32"),
+    ],
+)
+def test_wrong_input_is_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        vj.bifurcation_diagram(oscillator, **settings)
