@@ -7,7 +7,6 @@ that of a backward Euler step over the rest of the step, in closed form for a li
 stays well behaved where a contact is a hundred times faster than the step.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,10 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from vibrojax.contact import Stop
 from vibrojax.contact_laws import linear_coefficients
-from vibrojax.systems.base import AbstractEquations
-
-lax = jax.lax
+from vibrojax.systems.base import AbstractEquations, stop_forces
 
 CONTACT_PASSES = 4
 """Newton steps for a contact force that is not linear, or several stops that may let go."""
@@ -118,84 +116,69 @@ def _contact(equations, table, flight, step, refinements):
     after, pull_back = jax.vjp(equations.penetration, flight.free)
     count = len(equations.stops)
     towards = [pull_back(jnp.zeros(count).at[s].set(1.0))[0] for s in range(count)]
-    at_rest = [table.inverse @ own for own in towards]
-    mobility = [
-        _refined(equations, table, flight.middle, m, m, refinements - 1)[0] for m in at_rest
-    ]
+    mobility = []
+    for own in towards:
+        first = table.inverse @ own
+        moved, _ = _refined(equations, table, flight.middle, first, first, refinements - 1)
+        mobility.append(moved)
+    towards, mobility = jnp.stack(towards), jnp.stack(mobility)
     # From the touch on, the share of the step that is left, and the speed of the touch.
-    held = jnp.maximum(before, 0.0)
-    gone = jnp.where(before >= 0, 1.0, after - before)
-    share = jnp.where(before >= 0, 1.0, jnp.where(after > 0, after / gone, 0.0))
-    time = step * share
-    slowed = [flight.free_rate + s * (flight.rate - flight.free_rate) for s in share]
-    speed = jnp.stack([jnp.sum(a * b) for a, b in zip(towards, slowed, strict=True)])
-    give = [[jnp.sum(towards[s] * mobility[t]) for t in range(count)] for s in range(count)]
+    outside = before < 0
+    gone = jnp.where(outside, after - before, 1.0)
+    share = jnp.where(outside, jnp.where(after > 0, after / gone, 0.0), 1.0)
+    time, held = step * share, jnp.maximum(before, 0.0)
+    end, change = towards @ flight.free_rate, towards @ (flight.rate - flight.free_rate)
+    reach = towards @ mobility.T * time
     # The impact first, which stops the approach at once; then what presses on over the rest.
-    reach = [[time[t] * give[s][t] for t in range(count)] for s in range(count)]
-    sudden = contact_impulses(equations.stops, held, held + time * speed, time, reach)
-    half = [[own / 2 for own in row] for row in reach]
-    taken = [sum(r * p for r, p in zip(row, sudden, strict=True)) for row in half]
-    stopped = after - jnp.stack(taken)
-    impulse = contact_impulses(equations.stops, held, stopped, time, half)
-    rate_change = -sum(p * m for p, m in zip(impulse, mobility, strict=True))
-    change = -sum(time[s] * (sudden[s] + impulse[s]) / 2 * mobility[s] for s in range(count))
-    return change, rate_change
+    sudden = contact_impulses(
+        equations.stops, held, held + time * (end + share * change), time, reach
+    )
+    stopped = after - reach @ sudden / 2
+    impulse = contact_impulses(equations.stops, held, stopped, time, reach / 2)
+    return -(time * (sudden + impulse) / 2) @ mobility, -impulse @ mobility
 
 
 def contact_impulses(
-    stops: tuple,
+    stops: tuple[Stop, ...],
     before: Float[Array, " stops"],
     after: Float[Array, " stops"],
     time: Float[Array, " stops"],
-    reach: Sequence[Sequence[Float[Array, ""]]],
-) -> list[Float[Array, ""]]:
+    reach: Float[Array, "stops stops"],
+) -> Float[Array, " stops"]:
     """Return the impulse of each stop, N s.
 
     `before` is the depth at touch or at the start of the step (0 or more), `after` the one without
-    contact forces, `time` how long the stop may act, `reach[s][t]` what a unit impulse of stop t
-    takes off the depth of stop s. One Newton step is exact for one linear stop.
+    contact forces, `time` how long the stop may act, `reach[s, t]` what a unit impulse of stop t
+    takes off the depth of stop s.
     """
-    count = len(stops)
     linear = all(linear_coefficients(stop.law) is not None for stop in stops)
-    passes = 1 if count == 1 and linear and stops[0].is_linear else CONTACT_PASSES
-    impulse = [jnp.zeros_like(after[s]) for s in range(count)]
-    touching = [(after[s] > 0) | (before[s] > 0) for s in range(count)]
+    # A linear law is exact at once, but for its rounded corner and for one of several letting go.
+    passes = 2 if linear else CONTACT_PASSES
+    # No division by a vanishing time: the dashpot's share hangs on the way only.
     tiny = jnp.finfo(after.dtype).tiny
+    live = ((after > 0) | (before > 0)) & (time > tiny)
+    safe = jnp.where(live, time, 1.0)
 
-    def law(s, depth):
-        """Impulse of stop s that ends at a depth, and its slope."""
-        safe = jnp.where(time[s] > tiny, time[s], 1.0)
+    def law(depth):
+        reached = jnp.maximum(depth, 0.0)
+        force = stop_forces(stops, reached, (reached - before) / safe)
+        return jnp.where(live, safe * force, 0.0)
 
-        def of(depth):
-            reached = jnp.maximum(depth, 0.0)
-            # The dashpot's share hangs on the way only: no division by a vanishing time.
-            return time[s] * stops[s].force(reached, (reached - before[s]) / safe)
-
-        value, slope = jax.jvp(of, (depth,), (jnp.ones_like(depth),))
-        live = touching[s] & (time[s] > tiny)
-        return jnp.where(live, value, 0.0), jnp.where(live, slope, 0.0)
-
+    impulse = jnp.zeros_like(after)
     for _ in range(passes):
-        rows, right = [], []
-        for s in range(count):
-            depth = after[s] - sum(reach[s][t] * impulse[t] for t in range(count))
-            value, slope = law(s, depth)
-            rows.append([(s == t) + slope * reach[s][t] for t in range(count)])
-            right.append(value - impulse[s])
-        change = _eliminate(rows, right)
-        impulse = [p + c for p, c in zip(impulse, change, strict=True)]
-    return [jnp.where(t, p, 0.0) for t, p in zip(touching, impulse, strict=True)]
+        depth = after - reach @ impulse
+        value, slope = jax.jvp(law, (depth,), (jnp.ones_like(depth),))
+        impulse = impulse + _solve_small(slope[:, None] * reach, value - impulse)
+    return impulse
 
 
-def _eliminate(rows, right):
-    """Solve a small dense system, unrolled: a library call per lane would cost more than a step."""
-    rows, right, count = [list(row) for row in rows], list(right), len(right)
-    for i in range(count):
-        for j in range(i + 1, count):
-            factor = rows[j][i] / rows[i][i]
-            rows[j] = [b - factor * a for a, b in zip(rows[i], rows[j], strict=True)]
-            right[j] = right[j] - factor * right[i]
-    for i in reversed(range(count)):
-        known = sum(rows[i][j] * right[j] for j in range(i + 1, count))
-        right[i] = (right[i] - known) / rows[i][i]
-    return right
+def _solve_small(matrix, right):
+    """Solve (1 + matrix) x = right; up to two in closed form, as a library call costs a step."""
+    if right.shape[0] == 1:
+        return right / (1 + matrix[0])
+    if right.shape[0] == 2:
+        (a, b), (c, d) = matrix
+        a, d = 1 + a, 1 + d
+        crossed = jnp.stack([d * right[0] - b * right[1], a * right[1] - c * right[0]])
+        return crossed / (a * d - b * c)
+    return jnp.linalg.solve(jnp.eye(right.shape[0]) + matrix, right)
