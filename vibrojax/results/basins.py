@@ -120,7 +120,7 @@ class Basins(eqx.Module):
         Exact for `random` starts. A regular grid does better than that for a basin with a smooth
         boundary; what it cannot resolve is said by `boundary_share`.
         """
-        return standard_error(self.share, self.count)
+        return np.asarray(standard_error(self.share, self.count))
 
     @property
     def interval(self) -> Float[Array, "... attractors 2"]:

@@ -26,7 +26,7 @@ FOLLOWED = 8
 """Such windows, after which a start may be on an attractor that is not known yet."""
 CANDIDATES = 8
 """Candidates of a place that march at the same time."""
-CLOSER = 20.0
+CLOSER = 5.0
 """How many times smaller than the tolerance the return of a candidate has to be ..."""
 WINDOWS = 8
 """... unless it has marched so many windows on."""
@@ -36,6 +36,8 @@ MOST = 64
 """Periodic attractors told apart at one place."""
 WATCHED = (24, 60)
 """Drive periods over which means and powers are taken: the first that all periods divide."""
+NARROW, MANY = 16, 8
+"""Lanes of a narrow loop, and full loops of starts from which on there is one."""
 TINY = 1e-300
 SAMPLES = 32
 """Samples per drive period of what is watched."""
@@ -104,6 +106,8 @@ class _Search:
         self.shift = np.zeros(len(self.place), int)
         """By how many drive periods a start is ahead on its orbit."""
         self.width = width_for(len(self.place))
+        # Stragglers of a long run are worth a loop of their own width, which has to be compiled.
+        self.narrow = width_for(NARROW) if len(self.place) > MANY * self.width else self.width
 
     def run(self) -> None:
         """Bring every start to an end."""
@@ -180,8 +184,9 @@ class _Search:
                 self._choose(place, budget)
 
     def _filled(self, lanes):
-        """Fill some lanes up to the one width that is compiled."""
-        return lanes[np.minimum(np.arange(max(len(lanes), self.width)), len(lanes) - 1)]
+        """Fill some lanes up to one of the widths that are compiled."""
+        width = self.narrow if len(lanes) <= self.narrow else self.width
+        return lanes[np.minimum(np.arange(max(len(lanes), width)), len(lanes) - 1)]
 
     def _march(self, lanes):
         """March a window; returns period and error of the return."""
