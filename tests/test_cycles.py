@@ -178,3 +178,27 @@ def test_diverged_histories_are_left_out_and_counted(made):
     assert found.left_out == 1
     np.testing.assert_allclose(found.drive_periods[found.history == 3], 2.0, atol=2e-6)
     assert "1 more diverged" in repr(found)
+
+
+@pytest.mark.slow
+def test_chirp_of_the_elastic_pendulum_locks_at_three_drive_periods():
+    """From about 5.5 Hz on, as Litak et al., fig. 4; counts and bending of a reference in numpy."""
+    draw = np.random.default_rng(1)
+    starts = [(a * np.ones(17), b * np.ones(17)) for a, b in draw.uniform(-0.12, 0.12, (6, 2))]
+    found = vj.simulate_each(
+        vj.default_pendulum(),
+        waveform=vj.Chirp(2.0, 9.0, 15.0),
+        duration=15.0,
+        samples=3750,
+        initial_states=starts,
+        solver=vj.LinearlyImplicit(longest_step=4e-4),
+    )
+    cycles = found.cycles("bearing_angle", threshold=0.3 * 0.006 / 0.04)
+    table = cycles.statistics(np.arange(5.5, 8.6, 0.5), share_of={3: 0.25})
+    reference = np.array([23, 24, 32, 28, 36, 36]) / 12
+    np.testing.assert_allclose(table["count"] / len(starts), reference, atol=0.6)
+    np.testing.assert_allclose(table["median"], 3.0, atol=0.03)
+    assert (table["share_of_3"] > 0.85).all()
+    # Largest chord reductions of the bins from 7 to 8 and from 8 to 9 Hz, m.
+    most = np.asarray(table["largest_chord_reduction"])
+    np.testing.assert_allclose([max(most[3:5]), most[5]], [2.35e-4, 3.03e-4], rtol=0.15)
