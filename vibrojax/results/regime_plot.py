@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, TwoSlopeNorm
+from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
@@ -211,11 +211,14 @@ def _exponent_map(
 ) -> None:
     y, exponent = _ascending(y, exponent)
     known = exponent[np.isfinite(exponent)]
-    low, high = (known.min(), known.max()) if known.size else (-1.0, 1.0)
-    norm = TwoSlopeNorm(0.0, min(low, -1e-12), max(high, 1e-12))
+    # As far down as up: how strongly a periodic motion attracts says nothing of the regime.
+    high = known.max(initial=0.0)
+    reach = high if high > 0 else max(np.abs(known).max(initial=0.0), 1e-12)
+    norm = Normalize(-reach, reach)
     shades = matplotlib.colormaps["RdBu_r"]
     drawn = axes.pcolormesh(_edges(x), _edges(y), exponent, cmap=shades, norm=norm, rasterized=True)
-    bar = figure.colorbar(drawn, ax=axes, pad=0.02)
+    below = bool((known < -reach).any())
+    bar = figure.colorbar(drawn, ax=axes, pad=0.02, extend="min" if below else "neither")
     bar.set_label(variable_label("lyapunov_exponent"), fontsize=SMALL)
     bar.ax.tick_params(labelsize=SMALL)
 

@@ -102,8 +102,9 @@ def parameter_map(
         frequency_ratio: drive frequencies over the first natural frequency of the unstopped
             system, increasing; or one number, which makes a map at one frequency.
         frequency: the same in Hz; give one of the two.
-        response: `sweep` (settled, both directions), `periodic` or `continuation`, or with settings
-            `vj.SettledSweep(...)`, `vj.PeriodicPoints(...)`, `vj.ContinuationCurve(...)`.
+        response: `sweep` (settled, both directions), `periodic`, `continuation` or `regimes`, or
+            with settings `vj.SettledSweep(...)`, `vj.PeriodicPoints(...)`,
+            `vj.ContinuationCurve(...)`, `vj.RegimeSweep(...)`.
         measures: what to keep of every curve: names (`peak_amplitude_ratio`, `jump_up`, ...) or
             functions from a curve (a dict of arrays by name) to a number, in a list, or in a dict
             by name. By default whole curves and all measures.
