@@ -9,7 +9,7 @@ QUIET = 4.0
 """Growth of a tangent over the whole window, as a power of e, that is not told from none.
 
 A motion on a torus has a bounded one, with a standard error of about as much."""
-FAR = 5.0
+FAR = 10.0
 """Least return error of a quasi-periodic motion, in tolerances: nearer, a transient may last."""
 CERTAIN = 3.0
 """Standard errors from which an exponent counts as different from zero."""
