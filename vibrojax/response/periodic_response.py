@@ -52,7 +52,8 @@ def periodic_response(
             default a march from rest until it settles.
         method: `Shooting()` or `HarmonicBalance()`. By default linear stops are solved exactly
             between their contact times (shooting through exact propagators), other stops by
-            harmonic balance, stops with an internal state and other systems by shooting.
+            harmonic balance, stops with an internal state, modes that fall away and other systems
+            by shooting.
         tolerance: relative error to aim at, where the solution is not exact.
 
     Raises `ValueError` for a period below 1, settings that contradict each other, a tolerance out
@@ -75,10 +76,13 @@ def periodic_response(
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
     state = _state_of(guess, equations.state_size)
     exact = linear and is_exact(system)
-    memory = bool(equations.memory_size)
+    shot = not linear or bool(equations.memory_size)
+    if linear and method is None:
+        # About a position that the body falls away from there is no steady response to start from.
+        shot = shot or equations.stiffness_sign is not None
     if isinstance(method, HarmonicBalance):
         check_balance(equations.stops)
-    if isinstance(method, Shooting) or not linear or memory:
+    if isinstance(method, Shooting) or shot:
         if isinstance(method, HarmonicBalance):
             raise ValueError(
                 f"{type(system).__name__} is not linear but for its stops, which harmonic balance "

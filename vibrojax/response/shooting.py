@@ -13,6 +13,7 @@ from vibrojax.drive import AbstractDrive, Harmonic
 from vibrojax.response.implicit import frozen, with_columns
 from vibrojax.response.methods import Shooting
 from vibrojax.results.periodic_response import PeriodicResponse, Sampled, reading_of
+from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.elementary import cubic_maximum
 from vibrojax.systems.base import (
     AbstractEquations,

@@ -22,7 +22,9 @@ def _shapes(system: AbstractSystem) -> AbstractEquations:
 
 def is_exact(system: AbstractSystem) -> bool:
     """Return whether flight and contact of the system can be propagated exactly."""
-    if not isinstance(_shapes(system), LinearEquations):
+    shapes = _shapes(system)
+    if not isinstance(shapes, LinearEquations) or shapes.stiffness_sign is not None:
+        # What falls away comes to rest on its stops, where landings come too thick.
         return False
     stops = _stops(system)
     return all(stop.is_linear for stop in stops) and len(stops) <= MAX_STOPS
@@ -42,8 +44,8 @@ def choose_method(
     if isinstance(method, ExactContact) and not exact:
         raise ValueError(
             f"ExactContact needs a system that is linear but for at most {MAX_STOPS} stops that "
-            "are linear in contact, with no smoothing. Use ExponentialSplitting() or "
-            "LinearlyImplicit(), or leave the method to vibrojax."
+            "are linear in contact, with no smoothing, and has no mode that falls away. Use "
+            "ExponentialSplitting() or LinearlyImplicit(), or leave the method to vibrojax."
         )
     if method is not None:
         return method

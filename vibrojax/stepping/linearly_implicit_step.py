@@ -161,7 +161,7 @@ def contact_impulses(
 
     def law(depth):
         reached = jnp.maximum(depth, 0.0)
-        force = stop_forces(stops, reached, (reached - before) / safe)
+        force = stop_forces(stops, (before + reached) / 2, (reached - before) / safe)
         return jnp.where(live, safe * force, 0.0)
 
     impulse = jnp.zeros_like(after)

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax.response.settling import (
     APERIODIC_PERIODS,
+    CLOSED,
     NEAR,
     Search,
     begin_search,
@@ -213,11 +214,34 @@ class LanePool:
         settled = own[good]
         self.state[settled] = np.asarray(state).T[: len(own)][good]
         self.period[settled] = self.wanted[settled]
+        self._reduce_periods(settled)
         self.stage[settled] = MEASURE
         left = own[~good]
         again = self.wanted[left] < self.period[left]
         self.wanted[left[again]] = self.period[left[again]]
         self._march_on(left[~again])
+
+    def _reduce_periods(self, settled: np.ndarray) -> None:
+        """Set the least period of orbits found with a multiple of it.
+
+        A motion that alternates about its orbit while it settles returns best after twice the
+        period. Period 1 has been tried before any other.
+        """
+        for part in range(2, self.max_period // 2 + 1):
+            lanes = settled[(self.period[settled] % part == 0) & (self.period[settled] > part)]
+            while len(lanes):
+                own, left = lanes[: self.widths[-1]], lanes[self.widths[-1] :]
+                width = next(w for w in self.widths if w >= len(own))
+                batch = own[np.minimum(np.arange(width), len(own) - 1)]
+                window = np.full(width, part, np.int32)
+                state = self.state[batch].T
+                end, _, _ = _measure(
+                    self.march, self.rig[batch], state, self.frequency[batch], window
+                )
+                gone = (np.asarray(end).T - self.state[batch])[: len(own)] * self.weight[own]
+                size = np.linalg.norm(self.state[own] * self.weight[own], axis=1)
+                self.period[own[np.linalg.norm(gone, axis=1) <= CLOSED * size]] = part
+                lanes = left
 
     def _run_measure(self, chosen: np.ndarray, course: Course) -> int:
         window = np.where(self.period > 0, self.period, APERIODIC_PERIODS)
