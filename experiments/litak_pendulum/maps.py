@@ -1,0 +1,113 @@
+"""Regimes over frequency and base amplitude, bifurcation diagram, and what each regime harvests."""
+
+import numpy as np
+from pendulum import INFERRED, MARCHED, modal, modal_starts
+
+import vibrojax as vj
+
+AMPLITUDES = (3e-3, 10e-3)
+"""m, first and last of the map."""
+
+
+def regime_map(frequencies: int, amplitudes: int, periods: int) -> tuple[vj.Regimes, dict]:
+    """Return the regimes over frequency and base amplitude, from one start."""
+    found = vj.regimes(
+        modal,
+        frequency=np.linspace(2.0, 9.0, frequencies),
+        base_amplitude=np.linspace(*AMPLITUDES, amplitudes),
+        starts=modal_starts(1, seed=3),
+        **MARCHED | {"periods": periods},
+    )
+    period = found.period
+    shares = {
+        str(n): float(np.mean(period == n)) for n in np.unique(period) if np.mean(period == n) > 0
+    }
+    return found, {
+        "frequency_Hz": np.asarray(found.frequencies).tolist(),
+        "base_amplitude_m": found.axes["base_amplitude"].tolist(),
+        "period": period[:, 0].tolist(),
+        "regime": found.regime[:, 0].tolist(),
+        "lyapunov_per_s": np.round(found.lyapunov_exponent[:, 0], 3).tolist(),
+        "share_of_period": shares,
+        "share_of_regime": {r.word: found.fraction(r.name) for r in vj.Regime},
+    }
+
+
+def bifurcation(values: int, transient: int, periods: int) -> tuple[vj.BifurcationDiagram, dict]:
+    """Carry the motion along the frequency, up and down."""
+    start = modal_starts(1, seed=3)[0]
+    common = {name: MARCHED[name] for name in ("tolerance", "samples_per_period", "method")}
+    found = vj.bifurcation_diagram(
+        modal(),
+        frequency=np.linspace(2.0, 9.0, values),
+        start=start,
+        transient=transient,
+        periods=periods,
+        max_period=20,
+        lyapunov=False,
+        progress=False,
+        **common,
+    )
+    three = {
+        way: np.asarray(found.values)[row == 3].tolist()
+        for way, row in zip(found.directions, found.period, strict=True)
+    }
+    return found, {
+        "frequency_Hz": np.asarray(found.values).tolist(),
+        "period": dict(zip(found.directions, found.period.tolist(), strict=True)),
+        "period_3_Hz": {way: [min(v), max(v)] if v else None for way, v in three.items()},
+    }
+
+
+def energies(frequencies: int, starts: int, periods: int) -> dict:
+    """Return bending and power of every motion against frequency, from several starts."""
+    found = vj.regimes(
+        modal(),
+        frequency=np.linspace(2.0, 9.0, frequencies),
+        starts=modal_starts(starts, seed=4),
+        **MARCHED | {"periods": periods},
+    )
+    names = ("chord_reduction_max", "strain_energy_mean", "strain_power_rms", "lyapunov_exponent")
+    numbers = {name: np.asarray(found[name]) for name in names}
+    group = np.where(np.isin(found.period, (0, 1, 3, 5)), found.period, -1)
+    # Periods that are multiples of 3 are the period-3 motion beyond a doubling.
+    group = np.where((found.period > 3) & (found.period % 3 == 0), 3, group)
+    group = np.where(found.regime == vj.Regime.chaotic.value, 0, group)
+    by_kind = {}
+    for kind, word in ((0, "nonperiodic"), (1, "period 1"), (3, "period 3 and multiples")):
+        own = group == kind
+        if own.any():
+            by_kind[word] = {name: float(v[own].mean()) for name, v in numbers.items()} | {
+                "lanes": int(own.sum()),
+                "largest_chord_reduction_m": float(numbers["chord_reduction_max"][own].max()),
+            }
+    own = (group == -1) | (group == 5)
+    if own.any():
+        by_kind["other periods"] = {name: float(v[own].mean()) for name, v in numbers.items()} | {
+            "lanes": int(own.sum())
+        }
+    # Where several kinds are reached at one frequency, or next to it, they can be compared.
+    beside = []
+    for k, frequency in enumerate(np.asarray(found.frequencies)):
+        here, three = slice(max(k - 1, 0), k + 2), group[:, max(k - 1, 0) : k + 2] == 3
+        none = group[:, here] == 0
+        if three.any() and none.any():
+            power, chord = numbers["strain_power_rms"][:, here], numbers["chord_reduction_max"]
+            ratio = power[three].mean() / power[none].mean()
+            bent = chord[:, here][three].mean() / chord[:, here][none].mean()
+            beside.append([float(frequency), float(ratio), float(bent)])
+    most = np.unravel_index(numbers["chord_reduction_max"].argmax(), group.shape)
+    return {
+        "frequency_Hz": np.asarray(found.frequencies).tolist(),
+        "base_amplitude_m": INFERRED["base_amplitude"][0],
+        "kind": group.tolist(),
+        "period": found.period.tolist(),
+        **{f"{name}": np.asarray(v).tolist() for name, v in numbers.items()},
+        "by_kind": by_kind,
+        "power_and_chord_of_3_over_nonperiodic": beside,
+        "most_bent": {
+            "frequency_Hz": float(np.asarray(found.frequencies)[most[1]]),
+            "period": int(found.period[most]),
+            "chord_reduction_m": float(numbers["chord_reduction_max"][most]),
+        },
+    }
