@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from vibrojax.contact import Stop
 from vibrojax.contact_laws import linear_coefficients
+from vibrojax.stepping.splitting import drift
 from vibrojax.systems.base import AbstractEquations, stop_forces
 
 CONTACT_PASSES = 4
@@ -130,12 +131,38 @@ def _contact(equations, table, flight, step, refinements):
     end, change = towards @ flight.free_rate, towards @ (flight.rate - flight.free_rate)
     reach = towards @ mobility.T * time
     # The impact first, which stops the approach at once; then what presses on over the rest.
-    sudden = contact_impulses(
-        equations.stops, held, held + time * (end + share * change), time, reach
-    )
-    stopped = after - reach @ sudden / 2
-    impulse = contact_impulses(equations.stops, held, stopped, time, reach / 2)
-    return -(time * (sudden + impulse) / 2) @ mobility, -impulse @ mobility
+    speed = end + share * change
+    sudden, shift = _impact(equations.stops, held, speed, time, reach)
+    eased = after - shift + reach @ sudden / 2
+    impulse = contact_impulses(equations.stops, held, eased, time, reach / 2)
+    own = jnp.diagonal(reach)
+    late = jnp.where(own > 0, time * shift / jnp.where(own > 0, own, 1.0), 0.0)
+    return -(late + time * (impulse - sudden) / 2) @ mobility, -impulse @ mobility
+
+
+def _impact(stops, held, speed, time, reach):
+    """Impulses (N s) that meet the speed of touch, and what they take off the depths (m).
+
+    A linear stop on the mobility of its place is an oscillator, whose motion is known; other laws
+    take a backward Euler step.
+    """
+    implicit = contact_impulses(stops, held, held + time * speed, time, reach)
+    taken = jnp.diagonal(reach) * implicit
+    laws = [linear_coefficients(stop.law) for stop in stops]
+    if any(law is None for law in laws):
+        return implicit, taken
+    stiffness, damping = (jnp.stack([jnp.asarray(x, float) for x in c]) for c in zip(*laws, strict=True))
+    tiny = jnp.finfo(held.dtype).tiny
+    lasting = time > tiny
+    safe = jnp.where(lasting, time, 1.0)
+    give = jnp.where(lasting, jnp.diagonal(reach) / safe, 1.0)
+    rate = jnp.sqrt(jnp.maximum(give * stiffness, 1e-12 / safe**2))
+    flow = drift(rate, give * damping / (2 * rate), safe)
+    depth, left = flow(held, speed)
+    # Not beyond the moment at which it would pull.
+    pushes = lasting & (stiffness * depth + damping * left >= 0) & (depth > 0)
+    sudden = jnp.where(pushes, (speed - left) / give, implicit)
+    return sudden, jnp.where(pushes, held + time * speed - depth, taken)
 
 
 def contact_impulses(
