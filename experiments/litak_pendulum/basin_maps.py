@@ -3,7 +3,7 @@
 import time
 
 import numpy as np
-from pendulum import LINKS, STEPS, modal
+from pendulum import COARSER, LINKS, modal
 
 import vibrojax as vj
 
@@ -27,11 +27,11 @@ def run(frequency: float, count: int, transient: int = 150, **numbers) -> tuple[
         rate=np.linspace(-4.0, 4.0, count),
         units=UNITS,
         transient=transient,
-        periods=40,
-        max_period=20,
+        periods=24,
+        max_period=12,
         tolerance=0.02,
         distinguish_phases=True,
-        method=vj.LinearlyImplicit(steps_per_period=STEPS),
+        method=COARSER,
         progress=False,
     )
     seconds, processor = time.perf_counter() - begun, time.process_time() - worked

@@ -19,6 +19,8 @@ MODES = 6
 LINKS = 17
 STEPS = 1000
 """Steps per drive period."""
+COARSER = vj.LinearlyImplicit(steps_per_period=600)
+"""For thousands of lanes."""
 METHOD = vj.LinearlyImplicit(steps_per_period=STEPS)
 MARCHED = {"transient": 110, "max_period": 20, "tolerance": 0.02, "samples_per_period": 16}
 MARCHED |= {"spectrum": False, "method": METHOD, "progress": False}

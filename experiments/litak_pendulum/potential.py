@@ -22,7 +22,8 @@ def run(count: int = 401) -> dict:
         return equations.strain_energy(q) - lifted + jnp.sum(stiffness * depth**2) / 2
 
     pull, bend = jax.jit(jax.grad(energy)), jax.jit(jax.hessian(energy))
-    angle = np.linspace(-0.16, 0.16, count)
+    near = np.linspace(0.1465, 0.1495, 31)
+    angle = np.union1d(np.linspace(-0.16, 0.16, count), np.concatenate([-near, near]))
     straight = np.ones(equations.size)
     rigid = np.array([float(energy(a * straight)) for a in angle])
     # The limiters let the straight pendulum turn up to this angle.

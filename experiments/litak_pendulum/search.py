@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 from pendulum import (
+    COARSER,
     FREQUENCIES,
     INFERRED,
     MARCHED,
@@ -27,8 +28,6 @@ BOXES = {
 EVEN = ("limiter_height",)
 NEAR = 0.2
 """Every second draw is within this share of the inferred numbers."""
-COARSER = vj.LinearlyImplicit(steps_per_period=600)
-"""For thousands of draws."""
 QUICK = dict(MARCHED, lyapunov=False, periods=40, transient=100, samples_per_period=8)
 QUICK |= {"method": COARSER}
 OTHERS = tuple(f for f in FREQUENCIES if f != 7.8)
