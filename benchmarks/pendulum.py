@@ -4,10 +4,10 @@
     python benchmarks/pendulum.py cost precision     # some parts: cost, precision, basins
     python benchmarks/pendulum.py --core 1           # on another core
 
-The script pins itself to one core before JAX starts. Seconds are the least of several repeats (scipy
-and the basin maps run once), by the clock and of the processor, to which other programs on the core
-do not add; compilation is timed apart, without JAX's cache on disk. Writes pendulum_results.json, pendulum_results.md and
-pendulum.png beside itself.
+The script pins itself to one core before JAX starts. Seconds are the least of several repeats
+(scipy and the basin maps run once), by the clock and of the processor, to which other programs on
+the core do not add; compilation is timed apart, without JAX's cache on disk. Writes
+pendulum_results.json, pendulum_results.md and pendulum.png beside itself.
 """
 
 import argparse
