@@ -86,16 +86,8 @@ def energies(frequencies: int, starts: int, periods: int) -> dict:
         by_kind["other periods"] = {name: float(v[own].mean()) for name, v in numbers.items()} | {
             "lanes": int(own.sum())
         }
-    # Where several kinds are reached at one frequency, or next to it, they can be compared.
-    beside = []
-    for k, frequency in enumerate(np.asarray(found.frequencies)):
-        here, three = slice(max(k - 1, 0), k + 2), group[:, max(k - 1, 0) : k + 2] == 3
-        none = group[:, here] == 0
-        if three.any() and none.any():
-            power, chord = numbers["strain_power_rms"][:, here], numbers["chord_reduction_max"]
-            ratio = power[three].mean() / power[none].mean()
-            bent = chord[:, here][three].mean() / chord[:, here][none].mean()
-            beside.append([float(frequency), float(ratio), float(bent)])
+    power, chord = numbers["strain_power_rms"], numbers["chord_reduction_max"]
+    beside = side_by_side(np.asarray(found.frequencies), group, power, chord)
     most = np.unravel_index(numbers["chord_reduction_max"].argmax(), group.shape)
     return {
         "frequency_Hz": np.asarray(found.frequencies).tolist(),
@@ -111,3 +103,18 @@ def energies(frequencies: int, starts: int, periods: int) -> dict:
             "chord_reduction_m": float(numbers["chord_reduction_max"][most]),
         },
     }
+
+
+def side_by_side(frequency, kind, power, chord) -> list[list[float]]:
+    """Return means in period 3 over nonperiodic ones where starts lead to both: Hz, power, chord.
+
+    `kind`, `power` (W) and `chord` (m) have the shape (starts, frequencies).
+    """
+    kind, power, chord = (np.asarray(a) for a in (kind, power, chord))
+    rows = []
+    for hertz, here, watt, metre in zip(frequency, kind.T, power.T, chord.T, strict=True):
+        three, none = here == 3, here == 0
+        if three.any() and none.any():
+            ratios = (values[three].mean() / values[none].mean() for values in (watt, metre))
+            rows.append([float(hertz), *map(float, ratios)])
+    return rows

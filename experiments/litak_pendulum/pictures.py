@@ -175,9 +175,10 @@ def draw_bifurcation(diagram: vj.BifurcationDiagram, path: Path) -> None:
         size = {"ms": 6, "mfc": "none", "mew": 1.3}
         lower.plot(x, diagram.period[k], color=colour, marker=mark, ls="none", label=word, **size)
     _label(upper, "", "tip displacement at phase 0 (mm)", "carried along the frequency")
-    lower.set_yticks(
-        [0, 1, 3, 5, 6, 9, 12, 15, 18], ["none", *map(str, (1, 3, 5, 6, 9, 12, 15, 18))]
-    )
+    longest = max(3, int(np.max(diagram.period)))
+    orders = [n for n in (1, 3, 6, 9, 12, 15, 18) if n <= longest]
+    lower.set_yticks([0, *orders], ["none", *map(str, orders)])
+    lower.set_ylim(-0.5, longest + 0.8)
     _label(lower, "drive frequency (Hz)", "period (drive periods)")
     lower.legend(fontsize=SMALL, ncols=2)
     save(figure, path)

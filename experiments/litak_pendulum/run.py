@@ -32,6 +32,8 @@ matplotlib.use("Agg")
 HERE = Path(__file__).parent
 REFERENCE = HERE / "reference.json"
 """Of another program with the same equations: its chirps and its well."""
+DRAWS = 512
+"""Of the numbers that are not printed, in the search for period 5."""
 COEXISTING = 7.3
 """Hz, where a period-3 motion and one without a period are both reached."""
 
@@ -99,7 +101,7 @@ def _basins(folder: Path, coarse: bool) -> dict:
 def _search(folder: Path, coarse: bool) -> dict:
     changes = (0.1,) if coarse else (0.05, 0.1, 0.2)
     found = {
-        "period_5": search.period_5(*((16, 0) if coarse else (2048, 4))),
+        "period_5": search.period_5(*((16, 0) if coarse else (DRAWS, 4))),
         "sensitivity": search.sensitivity(changes, 1 if coarse else 4),
     }
     pictures.draw_search(found["period_5"], found["sensitivity"], folder / "search.png")
@@ -107,7 +109,7 @@ def _search(folder: Path, coarse: bool) -> dict:
 
 
 def _agreement(folder: Path, coarse: bool) -> dict:
-    return {} if coarse else {"agreement": search.agreement(32, 4, 40)}
+    return {} if coarse else {"agreement": search.agreement(16, 1, 40)}
 
 
 PARTS: dict[str, Callable[[Path, bool], dict]] = {
