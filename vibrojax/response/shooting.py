@@ -97,30 +97,32 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
     # Memories of stops are lengths, as q.
     unit = size * jnp.ones(extent).at[n : 2 * n].set(rate)
 
-    def returned(x, numbers):
+    def returned(x, given):
+        numbers, unit = given
         return passed(numbers, x * unit, period, False) / unit - x
 
-    def solved(numbers):
+    def solved(numbers, start, unit):
         found = optimistix.root_find(
             returned,
             optimistix.Newton(rtol=1e-9, atol=1e-9),
             start / unit,
-            numbers,
+            (numbers, unit),
             max_steps=method.max_steps,
             throw=False,
         )
         x = found.value
         # Under differentiation only the solution matters, not the map's own Jacobian.
-        matrix = jax.jacfwd(lambda x: returned(x, frozen(numbers)))(jax.lax.stop_gradient(x))
+        held = frozen(numbers), unit
+        matrix = jax.jacfwd(lambda x: returned(x, held))(jax.lax.stop_gradient(x))
         states = passed(numbers, x * unit, period, True)
         place = place_of(*numbers)
-        residual = jnp.max(jnp.abs(returned(jax.lax.stop_gradient(x), frozen(numbers))))
+        residual = jnp.max(jnp.abs(returned(jax.lax.stop_gradient(x), held)))
         reading = _read(place, states, method.steps_per_period, period)
         multipliers = jnp.linalg.eigvals(jax.lax.stop_gradient(matrix) + jnp.eye(extent))
         return reading, multipliers.real, multipliers.imag, jax.lax.stop_gradient(residual)
 
     numbers = system, value
-    reading, real, imaginary, residual = with_columns(solved, numbers)
+    reading, real, imaginary, residual = with_columns(solved, numbers, start, unit)
     place = place_of(*numbers)
     return reading_of(
         system,

@@ -38,7 +38,7 @@ def choose_method(
 ) -> AbstractMethod:
     """Return the method asked for, or the one that suits the stops of the system.
 
-    Raises `ValueError` when the method asked for cannot do the stops.
+    Raises `ValueError` when the method asked for cannot do the stops or the damping.
     """
     exact = is_exact(system)
     if isinstance(method, ExactContact) and not exact:
@@ -47,6 +47,8 @@ def choose_method(
             "are linear in contact, with no smoothing, and has no mode that falls away. Use "
             "ExponentialSplitting() or LinearlyImplicit(), or leave the method to vibrojax."
         )
+    if isinstance(method, LinearlyImplicit):
+        method.check_system(system)
     if method is not None:
         return method
     if exact:

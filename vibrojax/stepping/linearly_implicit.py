@@ -19,7 +19,14 @@ from vibrojax.stepping.linearly_implicit_step import (
 )
 from vibrojax.stepping.measures import Measures, Segment, no_measures
 from vibrojax.stepping.method import AbstractMarch, AbstractMethod, check_settings
-from vibrojax.systems.base import AbstractEquations, Motion, touching_stops
+from vibrojax.systems.base import (
+    AbstractEquations,
+    AbstractSystem,
+    Motion,
+    as_arrays,
+    equations_of,
+    touching_stops,
+)
 
 lax = jax.lax
 
@@ -105,6 +112,14 @@ class LinearlyImplicit(AbstractMethod):
             self.check_ringing(self.longest_step, float(fastest))
             return math.ceil(float(period) / self.longest_step - 1e-9)
         return int(chosen_steps(period, fastest, np.asarray(self.tolerance), np))
+
+    def check_system(self, system: AbstractSystem) -> None:
+        """Refuse, with a `ValueError`, a system that these settings cannot step."""
+        if self.longest_step is not None:
+            equations = _without_memory(equations_of(as_arrays(system)))
+            fastest = concrete(_fastest_damping(equations))
+            if fastest is not None:
+                self.check_ringing(self.longest_step, float(fastest))
 
     def check_ringing(self, step: float, fastest: float) -> None:
         """Refuse, with a `ValueError`, a step (s) too long for the damping (1/s)."""

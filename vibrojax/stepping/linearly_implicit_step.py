@@ -143,26 +143,36 @@ def _contact(equations, table, flight, step, refinements):
 def _impact(stops, held, speed, time, reach):
     """Impulses (N s) that meet the speed of touch, and what they take off the depths (m).
 
-    A linear stop on the mobility of its place is an oscillator, whose motion is known; other laws
-    take a backward Euler step.
+    A stop, linearised at the touch, is an oscillator on the mobility of its place, whose motion is
+    known. Where it would let go, a backward Euler step is taken.
     """
-    implicit = contact_impulses(stops, held, held + time * speed, time, reach)
-    taken = jnp.diagonal(reach) * implicit
-    laws = [linear_coefficients(stop.law) for stop in stops]
-    if any(law is None for law in laws):
-        return implicit, taken
-    stiffness, damping = (jnp.stack([jnp.asarray(x, float) for x in c]) for c in zip(*laws, strict=True))
+
+    def law(depth, speed):
+        return stop_forces(stops, depth, speed)
+
+    one, zero = jnp.ones_like(held), jnp.zeros_like(held)
+    force, stiffness = jax.jvp(law, (held, speed), (one, zero))
+    _, damping = jax.jvp(law, (held, speed), (zero, one))
+    if all(linear_coefficients(stop.law) is not None for stop in stops):
+        # At the corner itself the slopes are those beyond it.
+        laws = zip(*(linear_coefficients(stop.law) for stop in stops), strict=True)
+        stiffness, damping = (jnp.stack([jnp.asarray(x, float) for x in c]) for c in laws)
+        force = stiffness * held + damping * speed
     tiny = jnp.finfo(held.dtype).tiny
     lasting = time > tiny
     safe = jnp.where(lasting, time, 1.0)
     give = jnp.where(lasting, jnp.diagonal(reach) / safe, 1.0)
-    rate = jnp.sqrt(jnp.maximum(give * stiffness, 1e-12 / safe**2))
+    rate = jnp.sqrt(jnp.maximum(give * stiffness, 1e-6 / safe**2))
     flow = drift(rate, give * damping / (2 * rate), safe)
-    depth, left = flow(held, speed)
-    # Not beyond the moment at which it would pull.
-    pushes = lasting & (stiffness * depth + damping * left >= 0) & (depth > 0)
+    steady = -give * (force - damping * speed)
+    gone = flow.qv * speed + steady * (1 - flow.qq) / rate**2
+    left = flow.vv * speed + steady * flow.qv
+    end = force + stiffness * gone + damping * (left - speed)
+    pushes = lasting & (end >= 0) & (held + gone > 0)
+    implicit = contact_impulses(stops, held, held + time * speed, time, reach)
     sudden = jnp.where(pushes, (speed - left) / give, implicit)
-    return sudden, jnp.where(pushes, held + time * speed - depth, taken)
+    taken = jnp.where(pushes, time * speed - gone, jnp.diagonal(reach) * implicit)
+    return sudden, taken
 
 
 def contact_impulses(

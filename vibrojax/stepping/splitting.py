@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
+from vibrojax._trigonometry import cosine, sine
 from vibrojax.contact import Stop
 from vibrojax.stepping.contact_phases import spread
 from vibrojax.stepping.elementary import computed_once, cubic_maximum
@@ -59,10 +60,10 @@ def drift(
     decay = jnp.exp(-zeta * w * time)
     fast = jnp.exp(-(zeta * w + spread_) * time)
     slow = jnp.exp(jnp.where(over, spread_ - zeta * w, 0.0) * time)
-    even = jnp.where(under, decay * jnp.cos(spin * time), jnp.where(over, (slow + fast) / 2, decay))
-    sine = decay * jnp.sin(spin * time) / spin
+    even = jnp.where(under, decay * cosine(spin * time), jnp.where(over, (slow + fast) / 2, decay))
+    turning = decay * sine(spin * time) / spin
     sinh = (slow - fast) / (2 * spread_)
-    odd = jnp.where(under, sine, jnp.where(over, sinh, decay * time))
+    odd = jnp.where(under, turning, jnp.where(over, sinh, decay * time))
     return Drift(even + zeta * w * odd, odd, -(w**2) * odd, even - zeta * w * odd)
 
 

@@ -1,9 +1,11 @@
 """An inverted pendulum of elastic links on a moving hinge, between two limiters."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from vibrojax._checks import (
     check_choice,
@@ -126,18 +128,18 @@ class ElasticPendulum(AbstractSystem):
             raise ValueError(f"drive must be BaseMotion or NoDrive, got {self.drive!r}.")
 
     @property
-    def link_length(self) -> ArrayLike:
+    def link_length(self) -> Number:
         """Length l of a link, m."""
         return self.length / self.num_links
 
     @property
-    def joint_stiffness(self) -> ArrayLike:
+    def joint_stiffness(self) -> Number:
         """Stiffness k = E I/l of a joint, N m/rad."""
         return self.youngs_modulus * self.width * self.thickness**3 / 12 / self.link_length
 
     def equations(self) -> PendulumEquations:
         """Compute inertias, stiffness and damping of the links."""
-        n, link = self.num_links, jnp.asarray(self.link_length)
+        n, link = self.num_links, jnp.asarray(self.link_length, float)
         mass = self.density * self.width * self.thickness * link
         place = np.arange(1, n + 1)
         carried = mass * (n - place) + self.tip_mass
@@ -148,9 +150,8 @@ class ElasticPendulum(AbstractSystem):
         inertia = jnp.where(np.eye(n, dtype=bool), own, inertia)
         path = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
         path[0, 0] = path[-1, -1] = 1.0
-        hinge = np.zeros((n, n))
-        hinge[0, 0] = 1.0
-        height = jnp.asarray(0.0 if self.limiters is None else self.limiters.height)
+        path, hinge = jnp.asarray(path), jnp.zeros((n, n)).at[0, 0].set(1.0)
+        height = jnp.asarray(0.0 if self.limiters is None else self.limiters.height, float)
         # A limiter at a joint belongs to the link below it; a hair above it is round-off.
         facing = jnp.clip(jnp.ceil(height / link - 1e-9), 1, n)
         return PendulumEquations(
@@ -216,9 +217,7 @@ def default_pendulum(
     Raises `ValueError` for numbers that are no pendulum.
     """
     law = KelvinVoigt(contact_stiffness, contact_damping, tension=False)
-    link = length / num_links
-    joint_stiffness = youngs_modulus * width * thickness**3 / 12 / link
-    return ElasticPendulum(
+    undamped = ElasticPendulum(
         length=length,
         width=width,
         thickness=thickness,
@@ -227,8 +226,8 @@ def default_pendulum(
         limiters=Limiters(limiter_height, limiter_distance, law),
         drive=BaseMotion(base_amplitude),
         tip_mass=tip_mass,
-        joint_damping=joint_damping_time * joint_stiffness,
         bearing_damping=bearing_damping,
         gravity=gravity,
         num_links=num_links,
     )
+    return replace(undamped, joint_damping=joint_damping_time * undamped.joint_stiffness)
