@@ -8,6 +8,7 @@ from common import finish
 from matplotlib.colors import BoundaryNorm, ListedColormap, TwoSlopeNorm
 from matplotlib.patches import Patch
 from pendulum import FREQUENCIES, INFERRED, PRINTED
+from PIL import Image
 
 import vibrojax as vj
 
@@ -35,6 +36,14 @@ def _label(panel, x: str, y: str, title: str = "") -> None:
 def save(figure, path: Path) -> None:
     figure.savefig(path, dpi=100)
     plt.close(figure)
+    shrink(path)
+
+
+def shrink(path: Path) -> None:
+    """Keep 64 colours, which is a third of the size."""
+    with Image.open(path) as image:
+        small = image.convert("RGB").quantize(64)
+    small.save(path, optimize=True)
 
 
 def draw_potential(found: dict, path: Path) -> None:
