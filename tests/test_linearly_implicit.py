@@ -218,6 +218,7 @@ def last_tip(numbers, gradient="reverse"):
     return 1e3 * history.displacement()[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_gradients_through_a_second_of_impacts():
     point = jnp.ones(4)

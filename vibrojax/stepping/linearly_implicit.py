@@ -224,7 +224,11 @@ def _march(march, axis, state, frequency, periods, observe):
     turn = 2 * jnp.pi / count
     spin = jnp.exp(1j * turn)
     refinements = march.refinements
-    one = jax.vmap(lambda e, *rest: take_step(e, *rest, refinements), (axis, 0, 0, 0, 0))
+
+    def advance(equations, table, state, step, drive_input):
+        return take_step(equations, table, state, step, drive_input, refinements)
+
+    one = jax.vmap(advance, (axis, 0, 0, 0, 0))
     read = jax.vmap(_read, (axis, 0))
     total = count * periods
 

@@ -141,7 +141,7 @@ class ElasticPendulum(AbstractSystem):
         """Compute inertias, stiffness and damping of the links."""
         n, link = self.num_links, jnp.asarray(self.link_length, float)
         mass = self.density * self.width * self.thickness * link
-        place = np.arange(1, n + 1)
+        place = jnp.arange(1, n + 1)
         carried = mass * (n - place) + self.tip_mass
         moment = link * (mass / 2 + carried)
         above = jnp.minimum(carried[:, None], carried[None, :])
@@ -187,7 +187,7 @@ class ElasticPendulum(AbstractSystem):
         Their damping matrix is kept whole: without what couples the modes the motions of period 3
         are lost. Raises `ValueError` for fewer than 1 mode, more modes than links, or no gravity.
         """
-        return LinearisedPendulum(self, num_modes)
+        return LinearisedPendulum(pendulum=self, num_modes=num_modes)  # pyright: ignore[reportCallIssue]
 
 
 def default_pendulum(
