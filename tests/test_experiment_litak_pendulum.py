@@ -89,6 +89,7 @@ def test_pictures_are_kept_and_small():
         assert f"results/{name}.png" in readme
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_coarse_run(tmp_path):
     command = [sys.executable, str(FOLDER / "run.py"), "--coarse", "--output", str(tmp_path)]
