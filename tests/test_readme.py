@@ -37,3 +37,14 @@ def test_laws_of_the_docs_run():
     assert float(memory[-1]) > 1e-5
     lines = code_of("docs/contact_laws.md")[0].split("class Bumper")[1].strip().split("\n")
     assert len([line for line in lines if line.strip()]) <= 10
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_regimes_of_the_docs_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec("\n".join(code_of("docs/regimes.md")), names)
+    assert names["found"].period.tolist() == [[0, 3, 0], [0, 3, 0]]
+    assert names["exponent"].exponent > 3.0
+    assert (tmp_path / "chirp.png").exists()
