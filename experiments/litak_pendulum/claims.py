@@ -33,10 +33,12 @@ def _links(results: dict, frequency: float) -> list[int]:
     return links["period"][links["frequency_Hz"].index(frequency)]
 
 
-def _exponent(results: dict, frequency: float) -> float:
+def _exponent(results: dict, frequency: float) -> str:
     links = results["waveforms"]["links"]
     values = links["lyapunov_per_s"][links["frequency_Hz"].index(frequency)]
-    return sum(values) / len(values)
+    if None in values:  # of a coarse run
+        return "exponent not computed"
+    return f"exponent {sum(values) / len(values):+.1f} 1/s"
 
 
 def _all(period: list[int], wanted: int) -> str:
@@ -147,9 +149,7 @@ CLAIMS = (
         Claim(
             f"{'Nonperiodic' if not wanted else f'Period {wanted}'} at {frequency:g} Hz (Fig. 5)",
             lambda r, f=frequency, n=wanted: _all(_links(r, f), n),
-            lambda r, f=frequency: (
-                f"17 links: {_words(_links(r, f))}; exponent {_exponent(r, f):+.1f} 1/s"
-            ),
+            lambda r, f=frequency: f"17 links: {_words(_links(r, f))}; {_exponent(r, f)}",
             "waveforms",
         )
         for frequency, wanted in ((3.1, 0), (5.7, 3), (6.7, 3), (8.8, 0))

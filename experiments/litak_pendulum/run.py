@@ -64,7 +64,7 @@ def _chirp(folder: Path, coarse: bool) -> dict:
 
 
 def _waveforms(folder: Path, coarse: bool) -> dict:
-    histories, found = waveforms.run(1 if coarse else 3, 60 if coarse else 120)
+    histories, found = waveforms.run(*((1, 60, False) if coarse else (3, 120)))
     pictures.draw_waveforms(histories, found, folder / "waveforms.png")
     return {"waveforms": found}
 

@@ -10,7 +10,7 @@ SHOWN = 15
 """Drive periods drawn."""
 
 
-def run(starts: int = 3, settled: int = 120) -> tuple[vj.Histories, dict]:
+def run(starts: int = 3, settled: int = 120, lyapunov: bool = True) -> tuple[vj.Histories, dict]:
     """Return a history at each frequency, and the regimes from several starts."""
     states = full_starts(starts, seed=2)
     histories = vj.simulate_each(
@@ -22,7 +22,8 @@ def run(starts: int = 3, settled: int = 120) -> tuple[vj.Histories, dict]:
         solver=vj.LinearlyImplicit(steps_per_period=STEPS),
     )
     jax.block_until_ready(histories.lanes.time)
-    common = dict(MARCHED, frequency=FREQUENCIES, periods=60 if settled < 100 else 100)
+    periods = 100 if lyapunov else 40
+    common = dict(MARCHED, frequency=FREQUENCIES, periods=periods, lyapunov=lyapunov)
     found = {
         "links": vj.regimes(vj.default_pendulum(), starts=states, **common),
         "modes": vj.regimes(modal(), starts=modal_starts(starts, seed=2), **common),
