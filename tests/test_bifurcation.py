@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from unit_oscillator import oscillator
 
 import vibrojax as vj
 from vibrojax.results.bifurcation import PeriodChange
@@ -17,20 +18,6 @@ SETTINGS = {
     "progress": False,
 }
 W = np.array([0.87, 0.89, 0.915, 0.925, 0.9275, 0.9295, 0.94])
-
-
-def oscillator(gap=1.0, damping=0.1):
-    """x'' + damping x' + x + 50 max(x - gap, 0) = 0.3 cos(w t)."""
-    return vj.MatrixSystem(
-        [[1.0]],
-        [[damping]],
-        [[1.0]],
-        stops=vj.Stop(None, gap, vj.KelvinVoigt(50.0)),
-        stop_map=[[1.0]],
-        drive=vj.PointForce(0.3),
-        input_map=[1.0],
-        response_map=[1.0],
-    )
 
 
 @pytest.fixture(scope="module")

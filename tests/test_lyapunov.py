@@ -4,24 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from unit_oscillator import oscillator
 
 import vibrojax as vj
 from vibrojax.response import lyapunov
 from vibrojax.response.lyapunov import first_tangent, mean_rate, tangent_growth
-
-
-def oscillator(gap=1.0, damping=0.1):
-    """x'' + damping x' + x + 50 max(x - gap, 0) = 0.3 cos(w t)."""
-    return vj.MatrixSystem(
-        [[1.0]],
-        [[damping]],
-        [[1.0]],
-        stops=vj.Stop(None, gap, vj.KelvinVoigt(50.0)),
-        stop_map=[[1.0]],
-        drive=vj.PointForce(0.3),
-        input_map=[1.0],
-        response_map=[1.0],
-    )
 
 
 def exponent(angular_frequency, system=None, periods=300):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from unit_oscillator import oscillator
 
 import vibrojax as vj
 
@@ -9,21 +10,6 @@ UNIT = 2 * np.pi
 SETTINGS = {"transient": 150, "periods": 120, "max_period": 8, "samples_per_period": 16}
 W = np.array([0.87, 0.89, 0.94])
 GAPS = [1.0, 10.0]
-
-
-def oscillator(gap=1.0, damping=0.1):
-    """x'' + damping x' + x + 50 max(x - gap, 0) = 0.3 cos(w t)."""
-    return vj.MatrixSystem(
-        [[1.0]],
-        [[damping]],
-        [[1.0]],
-        stops=vj.Stop(None, gap, vj.KelvinVoigt(50.0)),
-        stop_map=[[1.0]],
-        drive=vj.PointForce(0.3),
-        input_map=[1.0],
-        response_map=[1.0],
-        proportional=True,
-    )
 
 
 @pytest.fixture(scope="module")

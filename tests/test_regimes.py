@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from unit_oscillator import oscillator
 
 import vibrojax as vj
 from vibrojax.results.regime_kinds import Regime, regime_of
@@ -18,20 +19,6 @@ SETTINGS = {
 }
 W = np.array([0.87, 0.9, 0.9331, 1.2])
 """Angular frequencies with period 3, chaos, period 1 and period 1."""
-
-
-def oscillator(gap=1.0, damping=0.1, force=0.3):
-    """x'' + damping x' + x + 50 max(x - gap, 0) = force cos(w t)."""
-    return vj.MatrixSystem(
-        [[1.0]],
-        [[damping]],
-        [[1.0]],
-        stops=vj.Stop(None, gap, vj.KelvinVoigt(50.0)),
-        stop_map=[[1.0]],
-        drive=vj.PointForce(force),
-        input_map=[1.0],
-        response_map=[1.0],
-    )
 
 
 @pytest.fixture(scope="module")

@@ -153,6 +153,12 @@ def _check(motion: Motion) -> None:
             "The motion between samples is known of systems that are linear but for their stops "
             f"(ImpactingBeam, MatrixSystem), not of {type(equations).__name__}."
         )
+    if equations.stiffness_sign is not None:
+        raise ValueError(
+            "The motion between samples is not known of systems with modes that fall away from "
+            "rest (LinearisedPendulum). Read contact_force and quantity(...) of a history with "
+            "more samples_per_period."
+        )
     if motion.prepared is None and equations.damping_coupling is not None:
         raise ValueError(
             "The damping couples the modes and a stop is not linear in contact: for this the "

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from vibrojax._checks import nearest
 from vibrojax.results.regime_dataset import dataset_of, pick, save_dataset, tally
+from vibrojax.results.regime_table import AbstractRegimeTable
 
 if TYPE_CHECKING:
     import xarray
@@ -34,7 +34,7 @@ class PeriodChange(NamedTuple):
         return low > 0 and high == 2 * low
 
 
-class BifurcationDiagram(eqx.Module):
+class BifurcationDiagram(AbstractRegimeTable):
     """Motions over one parameter, the state carried along each direction.
 
     `diagram["displacement"]` is a variable by name: strobed displacements, of the dimensions
@@ -62,26 +62,6 @@ class BifurcationDiagram(eqx.Module):
     def dims(self) -> tuple[str, ...]:
         """Names of the dimensions of the lanes."""
         return tuple(self.coordinates)
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self.variables:
-            raise ValueError(f"Unknown variable {name!r}. {nearest(name, self.variables)}")
-        return self.variables[name]
-
-    @property
-    def period(self) -> Int[Array, "..."]:
-        """Drive periods after which the motion repeats; 0 where none was found."""
-        return self.variables["period"]
-
-    @property
-    def regime(self) -> Int[Array, "..."]:
-        """Kind of motion, as the values of `Regime`."""
-        return self.variables["regime"]
-
-    @property
-    def lyapunov_exponent(self) -> Float[Array, "..."]:
-        """Largest Lyapunov exponent, 1/s."""
-        return self.variables["lyapunov_exponent"]
 
     def period_changes(self, **selection: Any) -> list[PeriodChange]:
         """Return the brackets in which the period changes, by direction and value.

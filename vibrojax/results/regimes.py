@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from vibrojax._checks import nearest
 from vibrojax.results.regime_dataset import dataset_of, save_dataset, tally
 from vibrojax.results.regime_kinds import Regime
+from vibrojax.results.regime_table import AbstractRegimeTable
 
 if TYPE_CHECKING:
     import xarray
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 
-class Regimes(eqx.Module):
+class Regimes(AbstractRegimeTable):
     """Kinds of motion over the axes of the call, the starts and the drive frequency.
 
     `regimes["strain_power_rms"]` is a variable by name; all have the dimensions of `dims`, the
@@ -50,31 +51,6 @@ class Regimes(eqx.Module):
     def coordinates(self) -> dict[str, Array]:
         """Values along every dimension of the lanes."""
         return self.axes | {self.axis: np.asarray(self.frequencies)}
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self.variables:
-            raise ValueError(f"Unknown variable {name!r}. {nearest(name, self.variables)}")
-        return self.variables[name]
-
-    @property
-    def period(self) -> Int[Array, "..."]:
-        """Drive periods after which the motion repeats; 0 where none was found."""
-        return self.variables["period"]
-
-    @property
-    def regime(self) -> Int[Array, "..."]:
-        """Kind of motion, as the values of `Regime`."""
-        return self.variables["regime"]
-
-    @property
-    def lyapunov_exponent(self) -> Float[Array, "..."]:
-        """Largest Lyapunov exponent, 1/s."""
-        return self.variables["lyapunov_exponent"]
-
-    @property
-    def lyapunov_standard_error(self) -> Float[Array, "..."]:
-        """Standard error of the exponent, 1/s."""
-        return self.variables["lyapunov_standard_error"]
 
     def fraction(self, kind: str) -> float:
         """Return the share of the lanes of a kind: `periodic`, `chaotic`, ...

@@ -53,7 +53,7 @@ def _prepared(make, static, names, numbers, method) -> tuple[Prepared, Any]:
     wanted = eqx.filter(found, eqx.is_inexact_array)
     slopes = [
         jax.tree.map(
-            lambda a, b: jnp.zeros_like(a) if b is None else b,
+            lambda a, b: jnp.zeros_like(a) if b is None and a is not None else b,
             wanted,
             eqx.filter(slope(name), eqx.is_inexact_array),
             is_leaf=lambda a: a is None,
