@@ -281,6 +281,11 @@ def test_steps_too_long_for_the_damping_are_refused():
         vj.frequency_sweep(
             PENDULUM, frequency=[5.0, 6.0], method=vj.LinearlyImplicit(longest_step=2e-3)
         )
+    coarse = vj.LinearlyImplicit(steps_per_period=64)
+    with pytest.raises(ValueError, match=r"steps_per_period makes steps"):
+        vj.frequency_sweep(PENDULUM, frequency=[5.0, 6.0], method=coarse)
+    with pytest.raises(ValueError, match=r"steps_per_period makes steps"):
+        vj.regimes(PENDULUM, frequency=[5.0, 6.0], method=coarse)
     # By itself the method takes as many steps as the damping asks for.
     stiff = replace(PENDULUM, joint_damping=PENDULUM.joint_damping * 100)
     assert vj.LinearlyImplicit(1e-3).steps(vj.motion(stiff, frequency=5.7)) > 20_000

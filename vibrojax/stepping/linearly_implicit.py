@@ -196,6 +196,20 @@ class ImplicitMarch(AbstractMarch):
             end, steps, measures = _march(self, None, state, frequency, periods, observe)
         return end.T, steps, measures
 
+    def check_steps(
+        self, rig: Int[np.ndarray, " lanes"], angular_frequency: Float[np.ndarray, " lanes"]
+    ) -> None:
+        """Refuse, with a `ValueError`, steps that were asked for and ring somewhere."""
+        if self.steps_per_period is None:
+            return
+        step = 2 * np.pi / np.asarray(angular_frequency) / self.steps_per_period
+        fastest = np.asarray(self.fastest)[rig]
+        if len(step):
+            worst = np.argmax(step * fastest)
+            LinearlyImplicit(steps_per_period=self.steps_per_period).check_ringing(
+                float(step[worst]), float(fastest[worst])
+            )
+
     def steps_for(self, angular_frequency: Float[Array, ""]) -> Int[Array, ""]:
         """Steps of one lane in a drive period."""
         period = 2 * jnp.pi / angular_frequency

@@ -8,6 +8,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from vibrojax._checks import check_count, check_range, concrete
@@ -46,6 +47,14 @@ class AbstractMarch(eqx.Module):
     @abstractmethod
     def energy_weight(self) -> Float[Array, "states *lanes"]:
         """Return weights that make (q, q') comparable: norms of weighted states are energies."""
+
+    def check_steps(
+        self, rig: Int[np.ndarray, " lanes"], angular_frequency: Float[np.ndarray, " lanes"]
+    ) -> None:
+        """Refuse, with a `ValueError`, steps that do not suit some lanes, before any march.
+
+        `rig[k]` is the rig of lane k along the trailing axis of the arrays, which are concrete.
+        """
 
 
 class StateInterpolation(diffrax.AbstractLocalInterpolation):

@@ -123,6 +123,7 @@ class LanePool:
         """Bring all lanes through their courses; `tell` hears how many points were reached."""
         lanes = len(self.rig)
         self.frequency = np.array(angular_frequency, float)
+        self.march.check_steps(np.asarray(self.rig), self.frequency)
         self.state = np.array(state, float)
         fresh = begin_search((self.state * self.weight).T, self.max_period, np)
         self.search: Any = jax.tree.map(np.array, self._lanes_first(fresh))

@@ -209,6 +209,7 @@ class Strober(eqx.Module):
         tell: Tell = lambda done: None,
     ) -> Float[np.ndarray, "lanes states"]:
         """Return the states after so many drive periods, NaN where a lane was lost."""
+        self.prepared.march.check_steps(rig, angular_frequency)
         count = np.broadcast_to(np.asarray(periods, np.int32), np.shape(rig))
 
         def run(k):
@@ -240,6 +241,7 @@ class Strober(eqx.Module):
         tell: Tell = lambda done: None,
     ) -> Observed:
         """March the transient, then return period and exponent of what lasts."""
+        self.prepared.march.check_steps(rig, angular_frequency)
         before = max(plan.transient - ALIGNING, 0) if plan.lyapunov else plan.transient
         transient, tolerance = jnp.asarray(before, jnp.int32), jnp.asarray(plan.tolerance, float)
 
