@@ -295,3 +295,35 @@ def test_stops_with_memory_are_refused():
     system = oscillator(0.0, law=vj.StandardLinearSolid(50.0, 20.0, 1.0))
     with pytest.raises(ValueError, match="LinearlyImplicit takes contact laws without an internal"):
         vj.simulate(system, frequency=0.2, periods=1, solver=vj.LinearlyImplicit())
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_derivative_of_a_locked_orbit_and_none_of_a_chaotic_motion():
+    def make(amplitude=6.33e-3):
+        pendulum = vj.default_pendulum(base_amplitude=amplitude, num_links=4, limiter_height=0.045)
+        return pendulum.linearised(2)
+
+    response = vj.RegimeSweep(
+        transient=180,
+        periods=42,
+        lyapunov=True,
+        direction="forward",
+        samples_per_period=16,
+        max_period=6,
+        method=vj.LinearlyImplicit(steps_per_period=400),
+    )
+
+    def mapped(amplitude, **more):
+        return vj.parameter_map(
+            make, amplitude=[amplitude], frequency=[5.0, 5.7], response=response, **more
+        )
+
+    found = mapped(6.33e-3, gradients=["amplitude"])
+    assert found.period.values.ravel().tolist() == [3, 0]
+    assert found.regime.values.ravel()[1] == vj.Regime.chaotic.value
+    slope = found.d_amplitude_ratio_d_amplitude.values.ravel()
+    assert np.isnan(slope[1])
+    step = 1e-8  # less than what moves an impact to another step
+    up, down = (mapped(6.33e-3 + s * step).amplitude_ratio.values.ravel() for s in (1, -1))
+    np.testing.assert_allclose(slope[0], (up - down)[0] / (2 * step), rtol=1e-3)

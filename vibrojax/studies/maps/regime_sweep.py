@@ -78,14 +78,15 @@ class RegimeSweep(AbstractMapResponse):
             spectrum=False,
         )
 
-    def _method(self, sample: AbstractSystem, grid: Grid) -> AbstractMethod:
+    def march_method(self, sample: AbstractSystem, grid: Grid) -> AbstractMethod:
+        """Return the method asked for, or the one that suits the system."""
         return regime_method(
             sample, grid.axis, self.method, self.step_tolerance, self.steps_per_period
         )
 
     def check(self, sample: AbstractSystem, grid: Grid) -> None:
         """Refuse a system that nothing drives, and observables that it has not."""
-        self._method(sample, grid)
+        self.march_method(sample, grid)
         equations = as_arrays(sample).equations()
         known = equations.observables(jnp.zeros(equations.size))
         for name in self.observables:
@@ -137,7 +138,7 @@ class RegimeSweep(AbstractMapResponse):
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Carry the rigs of a block along the frequencies."""
         sample = maker.sample(tuple(int(i[0]) for i in index))
-        strober = Strober.of(self._method(sample, grid), maker.rigs(index))
+        strober = Strober.of(self.march_method(sample, grid), maker.rigs(index))
         ways = DIRECTIONS[self.direction]
         lanes, count = len(strober.weight), len(grid.values)
         rig = np.repeat(np.arange(lanes), len(ways))

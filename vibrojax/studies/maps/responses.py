@@ -98,6 +98,10 @@ class AbstractMapResponse(eqx.Module):
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Answer all lanes of a block."""
 
+    def march_method(self, sample: AbstractSystem, grid: Grid) -> AbstractMethod | None:
+        """Return the method whose steps its motions were marched with, None where none was."""
+        return None
+
     @property
     def bytes_per_point(self) -> int:
         """Memory that a point of a curve takes while its block is computed."""
@@ -140,6 +144,10 @@ class SettledSweep(AbstractMapResponse):
     def check(self, sample: AbstractSystem, grid: Grid) -> None:
         """Refuse what `frequency_sweep` refuses."""
         self._plan(sample, grid)
+
+    def march_method(self, sample: AbstractSystem, grid: Grid) -> AbstractMethod:
+        """Return that of the sweep."""
+        return self._plan(sample, grid).method
 
     def ways(self) -> tuple[str, list[Any]]:
         """Return the directions."""

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vibrojax.stepping.choice import choose_method
+from vibrojax.stepping.linearly_implicit import LinearlyImplicit
 from vibrojax.studies.maps.chunks import Block, Chunks
 from vibrojax.studies.maps.dimensions import Arguments
 from vibrojax.studies.maps.gradients import Slopes, curve_slopes, fold_slopes, measure_slopes
@@ -78,7 +79,9 @@ class MapWork:
     ) -> dict[str, np.ndarray]:
         spec = self.spec
         sample = self.maker.sample(tuple(int(i[0]) for i in block.indices))
-        method = choose_method(sample, None, GRADIENT_TOLERANCE, None)
+        method = spec.response.march_method(sample, spec.grid)
+        if not isinstance(method, LinearlyImplicit):  # whose orbits are those of their own steps
+            method = choose_method(sample, None, GRADIENT_TOLERANCE, None)
         names = spec.gradients
         at_points = curve_slopes(self.maker, block.indices, names, spec.grid, method, computed)
         at_folds = fold_slopes(self.maker, block.indices, names, spec.grid.axis, computed)
