@@ -99,6 +99,7 @@ def test_nonsense_lane_leaves_its_neighbour_alone(shifted):
 
 
 @pytest.mark.slow
+@pytest.mark.long  # to compile
 def test_steady_motion_without_shift_at_a_place_in_space():
     channels = ("displacement", "velocity", "acceleration")
     time, signals = settled(channels, samples=40, position=0.7)
@@ -138,6 +139,7 @@ def test_either_of_two_steady_motions_is_found(start):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("late", [0.0, 2.3e-3])
+@pytest.mark.long  # to compile
 def test_free_release_against_the_stop(late):
     history = vj.simulate(
         undriven(*TRUE, 5e-5), release=-3e-3, duration=0.3, samples=150, gradient="forward"

@@ -208,6 +208,7 @@ def cluster(monkeypatch, environment):
 
 
 @pytest.mark.slow
+@pytest.mark.long  # to compile
 def test_workers_of_a_cluster_may_be_killed(tmp_path, cluster, whole):
     from distributed import Client
 

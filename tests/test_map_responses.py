@@ -21,6 +21,7 @@ def rig(gap=4e-4, stiffness=5500.0, base_amplitude=0.2e-3, damping=5e-5):
 
 
 @pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
 def test_periodic_points_are_those_of_single_calls():
     found = vj.parameter_map(rig, frequency_ratio=GRID[:3], gap=GAPS, response="periodic")
     assert found.amplitude_ratio.dims == ("gap", "frequency_ratio")
@@ -167,6 +168,7 @@ def test_derivatives_of_sweeps():
 
 
 @pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
 def test_no_derivative_where_there_is_no_steady_state():
     settings = {"frequency_ratio": GRID, "gap": GAPS}
     # With so few periods nothing settles: the curve is flagged, and so is its derivative.

@@ -120,6 +120,7 @@ def test_a_map_is_made_again_from_its_attributes_alone(crossed):
 
 
 @pytest.mark.slow
+@pytest.mark.long  # to compile
 def test_one_frequency_is_no_axis():
     found = vj.parameter_map(
         rig, frequency_ratio=1.1, gap=GAPS, taper=0.5, response=vj.SettledSweep("forward")

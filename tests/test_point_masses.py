@@ -181,6 +181,7 @@ def test_gradients(taper, positions):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("positions", ROUND)
+@pytest.mark.long  # to compile
 def test_forward_and_reverse_gradients_agree(positions):
     reverse, forward = REVERSE(MASSES, np.array(positions)), FORWARD(MASSES, np.array(positions))
     for ours, theirs in zip(reverse, forward, strict=True):

@@ -67,6 +67,7 @@ def test_a_stored_map_is_not_computed_again(mapped):
 
 
 @pytest.mark.slow  # to compile
+@pytest.mark.long  # to compile
 def test_only_periodic_motions_have_derivatives():
     found = vj.parameter_map(
         oscillator,

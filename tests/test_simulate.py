@@ -174,6 +174,7 @@ def test_gradients_nest_with_vmap():
 
 
 @pytest.mark.slow
+@pytest.mark.long  # to compile
 def test_gradient_of_splitting_matches_finite_differences():
     settings = {"solver": vj.ExponentialSplitting(steps_per_period=512)}
     gradient = jax.grad(lambda x: loss(x, **settings))(POINT)
