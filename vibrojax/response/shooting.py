@@ -18,6 +18,7 @@ from vibrojax.stepping.elementary import cubic_maximum
 from vibrojax.systems.base import (
     AbstractEquations,
     AbstractSystem,
+    LinearEquations,
     Motion,
     touching_stops,
 )
@@ -46,7 +47,11 @@ def shoot(
     """Solve for the motion that returns after `period` drive periods; see `periodic_response`."""
     solver = method.solver
     if solver is None:
-        solver = choose_method(system, None, 1e-6 if exact else 1e-4, None)
+        equations = eqx.filter_eval_shape(system.equations)
+        if equations.stops or isinstance(equations, LinearEquations):
+            solver = choose_method(system, None, 1e-6 if exact else 1e-4, None)
+        else:
+            solver = diffrax.Tsit5()  # nothing is stiff or sharp for all that is known
     return _shoot(system, value, is_ratio, period, state, method, solver)
 
 

@@ -43,8 +43,8 @@ def choose_method(
     exact = is_exact(system)
     if isinstance(method, ExactContact) and not exact:
         raise ValueError(
-            f"ExactContact needs a system that is linear but for at most {MAX_STOPS} stops that "
-            "are linear in contact, with no smoothing, and has no mode that falls away. Use "
+            f"ExactContact needs at most {MAX_STOPS} stops that are linear in contact, with no "
+            "smoothing, on a system that is linear but for them, without modes that fall away. Use "
             "ExponentialSplitting() or LinearlyImplicit(), or leave the method to vibrojax."
         )
     if isinstance(method, LinearlyImplicit):
