@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_count, check_positive
 from vibrojax.drive import AbstractDrive
@@ -76,13 +76,13 @@ class LinearisedPendulum(AbstractSystem):
         """Return the angles of the links, rad, by modal coordinate; the tip moves towards +x."""
         return _modes(self._equations())[1][:, : self.num_modes]
 
-    def angles(self, q: Float[Array, " modes"]) -> Float[Array, " links"]:
-        """Return the angles (rad, or rates) of modal coordinates."""
-        return self.shapes() @ q
+    def angles(self, q: ArrayLike) -> Float[Array, " links"]:
+        """Return the angles (rad, or rates) of modal coordinates, shape (modes,)."""
+        return self.shapes() @ jnp.asarray(q)
 
-    def modal_coordinates(self, angles: Float[Array, " links"]) -> Float[Array, " modes"]:
-        """Return the modal coordinates of angles (or rates), for an `initial_state`."""
-        return self.shapes().T @ (self._equations().inertia @ angles)
+    def modal_coordinates(self, angles: ArrayLike) -> Float[Array, " modes"]:
+        """Return the modal coordinates of angles (or rates), shape (links,): an `initial_state`."""
+        return self.shapes().T @ (self._equations().inertia @ jnp.asarray(angles))
 
     def equations(self) -> LinearEquations:
         """Linearise about the vertical and reduce to the modes, the damping matrix whole."""
