@@ -21,7 +21,7 @@ from vibrojax._checks import check_count, check_positive, check_range
 from vibrojax.response.simulate import motion
 from vibrojax.results.lyapunov import LyapunovExponent
 from vibrojax.stepping.choice import choose_method
-from vibrojax.stepping.method import AbstractMarch, AbstractMethod
+from vibrojax.stepping.method import AbstractMarch, AbstractMethod, with_traced_numbers
 from vibrojax.systems.base import AbstractSystem
 
 lax = jax.lax
@@ -177,7 +177,7 @@ def lyapunov_exponent(
             f"initial_state must be a state (q, q') of shape ({size},), got an array of shape "
             f"{state.shape}."
         )
-    numbers = jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float) else x, chosen)
+    numbers = with_traced_numbers(chosen)
     before = jnp.asarray(max(transient - ALIGNING, 0), jnp.int32)
     exponent, error, rates, end, period = _grown(numbers, run, state, before, periods)
     return LyapunovExponent(exponent, error, rates, end, period)

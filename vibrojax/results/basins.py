@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax._checks import nearest
+from vibrojax.results.saving import save_dataset
 from vibrojax.results.variables import VARIABLES
 
 if TYPE_CHECKING:
@@ -205,14 +206,7 @@ class Basins(eqx.Module):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the dataset to a NetCDF file, whole or not at all."""
-        target = os.fspath(path)
-        part = f"{target}.part"
-        try:
-            self.to_xarray().to_netcdf(part, engine="h5netcdf")
-            os.replace(part, target)
-        finally:
-            if os.path.exists(part):
-                os.remove(part)
+        save_dataset(self.to_xarray(), path)
 
     def place_of(self, selection: dict[str, Any]) -> tuple[tuple[int, ...], dict[str, float]]:
         """Return the index along the other axes nearest to a selection, and the values there.

@@ -7,8 +7,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.results.regime_dataset import dataset_of, pick, save_dataset, tally
+from vibrojax.results.regime_dataset import dataset_of, pick, tally
 from vibrojax.results.regime_table import AbstractRegimeTable
+from vibrojax.results.saving import save_dataset
 
 if TYPE_CHECKING:
     import xarray

@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from vibrojax.results.saving import save_dataset
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES
 
@@ -169,14 +170,7 @@ class FrequencyResponse(eqx.Module):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the dataset to a NetCDF file, whole or not at all."""
-        target = os.fspath(path)
-        part = f"{target}.part"
-        try:
-            self.to_xarray().to_netcdf(part, engine="h5netcdf")
-            os.replace(part, target)
-        finally:
-            if os.path.exists(part):
-                os.remove(part)
+        save_dataset(self.to_xarray(), path)
 
     def plot(self, variable: str = "amplitude_ratio", **selection: Any) -> "Figure":
         """Draw one variable against frequency, both directions, jumps marked.

@@ -1,6 +1,5 @@
 """What the results of regimes and diagrams share: datasets, files, picking a lane."""
 
-import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -67,18 +66,6 @@ def dataset_of(
         told = {"units": "1", "long_name": VARIABLES["order"].long_name}
         own["order"] = (("order",), orders, told)
     return xarray.Dataset(data, own, attrs=dict(attributes))
-
-
-def save_dataset(dataset: "xarray.Dataset", path: str | os.PathLike[str]) -> None:
-    """Write a dataset to a NetCDF file, whole or not at all."""
-    target = os.fspath(path)
-    part = f"{target}.part"
-    try:
-        dataset.to_netcdf(part, engine="h5netcdf")
-        os.replace(part, target)
-    finally:
-        if os.path.exists(part):
-            os.remove(part)
 
 
 def pick(

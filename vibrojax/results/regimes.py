@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax._checks import nearest
-from vibrojax.results.regime_dataset import dataset_of, save_dataset, tally
+from vibrojax.results.regime_dataset import dataset_of, tally
 from vibrojax.results.regime_kinds import Regime
 from vibrojax.results.regime_table import AbstractRegimeTable
+from vibrojax.results.saving import save_dataset
 
 if TYPE_CHECKING:
     import xarray

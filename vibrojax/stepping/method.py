@@ -362,6 +362,11 @@ def _uncoupled(equations: AbstractEquations) -> LinearEquations:
     return linear
 
 
+def with_traced_numbers(method: AbstractMethod) -> AbstractMethod:
+    """Return the method with its numbers as arrays: a new tolerance does not compile again."""
+    return jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float) else x, method)
+
+
 def check_settings(tolerance: float, steps_per_period: int | None) -> None:
     """Refuse a tolerance or a number of steps that cannot work, with a `ValueError`."""
     check_range(

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from vibrojax.drive import Harmonic
-from vibrojax.stepping.method import AbstractMethod, ExactContact
+from vibrojax.stepping.method import AbstractMethod, ExactContact, with_traced_numbers
 from vibrojax.studies.strobing import Numbers, Strober, in_chunks
 from vibrojax.studies.swept_lanes import Rigs
 from vibrojax.systems.base import Motion
@@ -159,7 +159,7 @@ def sample_motions(
     `cross_well`, `crossings_per_period` and, where asked for, `spectrum`.
     """
     method, rigs, periods = strober.method, strober.rigs, sampling.periods
-    numbers = jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float) else x, method)
+    numbers = with_traced_numbers(method)
     per_period = sampling.samples_per_period
     parts = steps_per_sample(method, rigs, rig, angular_frequency, per_period)
     lost = np.asarray(~np.isfinite(state).all(axis=1))

@@ -5,7 +5,6 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -13,7 +12,7 @@ from jaxtyping import Array, Float
 from vibrojax.drive import AbstractDrive
 from vibrojax.results.status import Status
 from vibrojax.stepping.measures import Measures
-from vibrojax.stepping.method import AbstractMarch, AbstractMethod
+from vibrojax.stepping.method import AbstractMarch, AbstractMethod, with_traced_numbers
 from vibrojax.studies.jumps import Jumps, find_jumps
 from vibrojax.studies.lane_pool import Arrived, LanePool, Onwards
 from vibrojax.systems.base import AbstractEquations, AbstractSystem, LinearEquations
@@ -77,8 +76,7 @@ def _first_frequency(equations: AbstractEquations) -> Array:
 
 def prepare(method: AbstractMethod, rigs: Rigs) -> Prepared:
     """Make rigs ready to be marched."""
-    # Its numbers as arrays: a new tolerance does not compile again.
-    numbers = jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float) else x, method)
+    numbers = with_traced_numbers(method)
     return _prepare(numbers, rigs)
 
 

@@ -249,7 +249,7 @@ class LinearEquations(AbstractEquations):
 
     def observables(self, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
         """Return what can be watched of a motion, by name, in SI units."""
-        seen = {"displacement": self.response(q), "strain_energy": self.strain_energy(q)}
+        seen = super().observables(q)
         return seen if self.gauge is None else seen | self.gauge(q)
 
     @property
