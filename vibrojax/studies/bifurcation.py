@@ -64,8 +64,8 @@ def bifurcation_diagram(
             rest by default.
         transient: drive periods marched at every value before anything is looked at.
         periods: drive periods observed at every value.
-        max_period, tolerance, lyapunov, samples_per_period, barrier, spectrum, step_tolerance,
-        steps_per_period, method, progress: as in `regimes`.
+        max_period, tolerance, lyapunov, samples_per_period, barrier: as in `regimes`.
+        spectrum, step_tolerance, steps_per_period, method, progress: as in `regimes`.
 
     Raises `ValueError` where it is not clear what to go along, for values that do not increase, an
     unknown keyword, a system without a drive, or settings that cannot work.
