@@ -3,6 +3,8 @@
 Importing vibrojax switches JAX to float64, unless the environment variable JAX_ENABLE_X64 is set.
 """
 
+from types import ModuleType as _ModuleType
+
 from vibrojax import _precision as _precision
 from vibrojax.beam import Cantilever as Cantilever
 from vibrojax.beam import PointMass as PointMass
@@ -108,3 +110,12 @@ from vibrojax.systems.matrix_system import MatrixModes as MatrixModes
 from vibrojax.systems.matrix_system import MatrixSystem as MatrixSystem
 
 __version__ = "0.1.0"
+
+
+def __dir__() -> list[str]:
+    """Return the public names, without the submodules that importing them left here."""
+    found = [n for n, v in globals().items() if n[0] != "_" and not isinstance(v, _ModuleType)]
+    return sorted([*found, "__version__"])
+
+
+__all__ = __dir__()  # pyright: ignore[reportUnsupportedDunderAll]

@@ -29,9 +29,12 @@ def as_number(name: str, value: Any) -> Any:
     return value
 
 
-def number_field(name: str, **default: Any) -> Any:
-    """Make a field of a Module that holds one number: sweepable, batchable, differentiable."""
-    return eqx.field(converter=partial(as_number, name), **default)
+def number_field(name: str, units: str = "", **default: Any) -> Any:
+    """Make a field of a Module that holds one number: sweepable, batchable, differentiable.
+
+    The `units` are what the `repr` of the Module shows behind the number.
+    """
+    return eqx.field(converter=partial(as_number, name), metadata={"units": units}, **default)
 
 
 def is_traced(value: Any) -> bool:

@@ -15,6 +15,7 @@ from vibrojax._checks import (
     check_positive,
     check_range,
 )
+from vibrojax._described import described
 
 
 def _number(name: str, value: Any) -> Any:
@@ -24,8 +25,8 @@ def _number(name: str, value: Any) -> Any:
     return jnp.asarray(value) if isinstance(value, np.ndarray) else value
 
 
-def _field(name: str, **default: Any) -> Any:
-    return eqx.field(converter=partial(_number, name), **default)
+def _field(name: str, units: str = "", **default: Any) -> Any:
+    return eqx.field(converter=partial(_number, name), metadata={"units": units}, **default)
 
 
 class PointMass(eqx.Module):
@@ -37,7 +38,7 @@ class PointMass(eqx.Module):
     JAX is tracing are not checked.
     """
 
-    mass: float | Float[Array, "..."] = _field("mass")
+    mass: float | Float[Array, "..."] = _field("mass", "kg")
     """Mass, kg."""
     position: float | Float[Array, "..."] = _field("position", default=1.0)
     """Place s = x/L in (0, 1], the tip unless told otherwise."""
@@ -46,6 +47,9 @@ class PointMass(eqx.Module):
         """Refuse concrete values that are not a mass on the beam."""
         check_not_negative("mass", self.mass, "kg")
         check_position("position", self.position)
+
+    def __repr__(self) -> str:
+        return described(self)
 
 
 def _as_tuple(given: Any) -> tuple[Any, ...]:
@@ -64,15 +68,15 @@ class Cantilever(eqx.Module):
     is tracing are not checked.
     """
 
-    length: float | Float[Array, "..."] = _field("length")
+    length: float | Float[Array, "..."] = _field("length", "m")
     """Length L, m."""
-    width: float | Float[Array, "..."] = _field("width")
+    width: float | Float[Array, "..."] = _field("width", "m")
     """Width b0 at the root, m."""
-    thickness: float | Float[Array, "..."] = _field("thickness")
+    thickness: float | Float[Array, "..."] = _field("thickness", "m")
     """Thickness in the direction of motion, m."""
-    youngs_modulus: float | Float[Array, "..."] = _field("youngs_modulus")
+    youngs_modulus: float | Float[Array, "..."] = _field("youngs_modulus", "Pa")
     """Young's modulus E, Pa."""
-    density: float | Float[Array, "..."] = _field("density")
+    density: float | Float[Array, "..."] = _field("density", "kg/m3")
     """Density rho, kg/m3."""
     taper: float | Float[Array, "..."] = _field("taper", default=0.0)
     """Taper mu in [0, 1): the width at the tip is b0 (1 - mu)."""
@@ -129,3 +133,6 @@ class Cantilever(eqx.Module):
         """sqrt(E I0 / (rho A0 L^4)), rad/s: times beta^2 it is an angular frequency (eq. 13)."""
         stiffness = self.youngs_modulus * self.root_inertia
         return (stiffness / (self.density * self.root_area * self.length**4)) ** 0.5
+
+    def __repr__(self) -> str:
+        return described(self)

@@ -11,6 +11,7 @@ from vibrojax._checks import (
     concrete,
     number_field,
 )
+from vibrojax._described import described
 from vibrojax.contact_laws import (
     AbstractContactLaw,
     AbstractMemoryLaw,
@@ -56,13 +57,13 @@ class Stop(eqx.Module):
 
     position: float | Float[Array, "..."] | None = number_field("position")
     """Place along the beam, s1 = x/L; None for a `MatrixSystem`, whose `stop_map` places it."""
-    gap: float | Float[Array, "..."] = number_field("gap")
+    gap: float | Float[Array, "..."] = number_field("gap", "m")
     """Clearance lambda between the beam at rest and the stop, m."""
     law: AbstractContactLaw  # pyright: ignore[reportGeneralTypeIssues]
     """Force as a function of penetration and rate."""
     side: int = eqx.field(static=True, default=1)
     """+1: the stop is above the beam (y > 0); -1: below."""
-    smoothing: float | Float[Array, "..."] | None = number_field("smoothing", default=None)
+    smoothing: float | Float[Array, "..."] | None = number_field("smoothing", "m", default=None)
     """Width, m of penetration, over which the corner of the force at touch is rounded.
 
     None (the default): methods that locate the touch keep the corner exact, the others round it
@@ -144,3 +145,6 @@ class Stop(eqx.Module):
     ) -> Float[Array, "..."]:
         """Return the energy that the stop could give back, J, its corner kept."""
         return stored_energy(self.law, jnp.maximum(penetration, 0.0), memory)
+
+    def __repr__(self) -> str:
+        return described(self)

@@ -18,6 +18,7 @@ from vibrojax._checks import (
     check_range,
     number_field,
 )
+from vibrojax._described import described
 
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
@@ -33,6 +34,9 @@ class AbstractContactLaw(eqx.Module):
 
         `penetration` (m) is at least 0 and `rate` (m/s) is its derivative.
         """
+
+    def __repr__(self) -> str:
+        return described(self)
 
 
 class AbstractLinearLaw(AbstractContactLaw):
@@ -141,9 +145,9 @@ class KelvinVoigt(AbstractLinearLaw):
     Raises `ValueError` for a negative stiffness or damping.
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("stiffness")
+    stiffness: float | Float[Array, "..."] = number_field("stiffness", "N/m")
     """Contact stiffness Ks, N/m."""
-    damping: float | Float[Array, "..."] = number_field("damping", default=0.0)
+    damping: float | Float[Array, "..."] = number_field("damping", "N s/m", default=0.0)
     """Contact damping Cs, N s/m."""
     tension: bool = eqx.field(static=True, default=True)
     """Whether the stop may pull, as the printed law does."""
@@ -180,7 +184,7 @@ class Hertz(AbstractContactLaw):
     Raises `ValueError` for a negative stiffness or an exponent outside [1, 5].
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("stiffness")
+    stiffness: float | Float[Array, "..."] = number_field("stiffness", "N/m^exponent")
     """Contact stiffness, N/m^exponent."""
     exponent: float | Float[Array, "..."] = number_field("exponent", default=1.5)
     """Power of the penetration."""
@@ -208,9 +212,9 @@ class HuntCrossley(AbstractContactLaw):
     Raises `ValueError` for a negative stiffness or dissipation, or an exponent outside [1, 5].
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("stiffness")
+    stiffness: float | Float[Array, "..."] = number_field("stiffness", "N/m^exponent")
     """Contact stiffness, N/m^exponent."""
-    dissipation: float | Float[Array, "..."] = number_field("dissipation", default=0.0)
+    dissipation: float | Float[Array, "..."] = number_field("dissipation", "s/m", default=0.0)
     """Loss of restitution per speed of approach (alpha), s/m."""
     exponent: float | Float[Array, "..."] = number_field("exponent", default=1.5)
     """Power of the penetration."""
@@ -240,11 +244,11 @@ class StandardLinearSolid(AbstractMemoryLaw):
     Raises `ValueError` for a negative stiffness or a relaxation time that is not above 0.
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("stiffness")
+    stiffness: float | Float[Array, "..."] = number_field("stiffness", "N/m")
     """Stiffness of a slow compression, N/m."""
-    maxwell_stiffness: float | Float[Array, "..."] = number_field("maxwell_stiffness")
+    maxwell_stiffness: float | Float[Array, "..."] = number_field("maxwell_stiffness", "N/m")
     """What a sudden compression adds to it, N/m."""
-    relaxation_time: float | Float[Array, "..."] = number_field("relaxation_time")
+    relaxation_time: float | Float[Array, "..."] = number_field("relaxation_time", "s")
     """Time in which the added force falls to 1/e under constant penetration, s."""
 
     def __check_init__(self) -> None:

@@ -13,6 +13,7 @@ from vibrojax._checks import (
     check_positive,
     number_field,
 )
+from vibrojax._described import described
 
 
 class AbstractWaveform(eqx.Module):
@@ -24,11 +25,14 @@ class AbstractWaveform(eqx.Module):
     ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
         """Return the phase (rad), its rate (rad/s) and the rate of that (rad/s2) at `time` (s)."""
 
+    def __repr__(self) -> str:
+        return described(self)
+
 
 class Harmonic(AbstractWaveform):
     """sin(2 pi frequency t). Raises `ValueError` unless the frequency (Hz) is above 0."""
 
-    frequency: float | Float[Array, "..."] = number_field("frequency")
+    frequency: float | Float[Array, "..."] = number_field("frequency", "Hz")
     """Drive frequency, Hz."""
 
     def __check_init__(self) -> None:
@@ -50,11 +54,11 @@ class Chirp(AbstractWaveform):
     is `linear` or `logarithmic`.
     """
 
-    start: float | Float[Array, "..."] = number_field("start")
+    start: float | Float[Array, "..."] = number_field("start", "Hz")
     """Frequency at time 0, Hz."""
-    end: float | Float[Array, "..."] = number_field("end")
+    end: float | Float[Array, "..."] = number_field("end", "Hz")
     """Frequency at the end, Hz."""
-    duration: float | Float[Array, "..."] = number_field("duration")
+    duration: float | Float[Array, "..."] = number_field("duration", "s")
     """Time from start to end, s."""
     kind: str = eqx.field(static=True, default="linear")
     """`linear` or `logarithmic` change of frequency with time."""
@@ -113,6 +117,9 @@ class AbstractDrive(eqx.Module):
         amplitude = self.complex_amplitude(rate, second)
         return amplitude.real * jnp.sin(phase) + amplitude.imag * jnp.cos(phase)
 
+    def __repr__(self) -> str:
+        return described(self)
+
 
 class BaseMotion(AbstractDrive):
     """The base, stop included, moves as chi = amplitude sin(phase).
@@ -120,7 +127,7 @@ class BaseMotion(AbstractDrive):
     Source: Gandhi and Vyas 2017, sec. 2.1. Raises `ValueError` for a negative amplitude.
     """
 
-    amplitude: float | Float[Array, "..."] = number_field("amplitude")
+    amplitude: float | Float[Array, "..."] = number_field("amplitude", "m")
     """Displacement amplitude sigma of the base, m."""
 
     def __check_init__(self) -> None:
@@ -145,7 +152,7 @@ class PointForce(AbstractDrive):
     Raises `ValueError` for a negative amplitude or a position outside (0, 1].
     """
 
-    amplitude: float | Float[Array, "..."] = number_field("amplitude")
+    amplitude: float | Float[Array, "..."] = number_field("amplitude", "N")
     """Force amplitude, N."""
     position: float | Float[Array, "..."] = number_field("position", default=1.0)
     """Place along the beam, x/L."""

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from vibrojax._described import shown_value
 from vibrojax.response.contact_times import MOST_EVENTS, Events, Orbit, follow_events
 from vibrojax.response.implicit import frozen
 from vibrojax.response.orbit_reading import Reading, find_crossings, read_course
@@ -34,12 +35,21 @@ class Fold(NamedTuple):
     parameter: Float[Array, ""]
     """Drive frequency, in the unit of the guess."""
     amplitude_ratio: Float[Array, ""]
+    """Half peak-to-peak displacement there over the drive amplitude."""
     contact_force: Float[Array, ""]
-    """N."""
+    """Largest contact force there, N."""
     initial_state: Float[Array, " states"]
     """(q, q') at drive phase 0."""
     found: Bool[Array, ""]
     """Whether the search converged on a motion that keeps to its contacts; NaN where not."""
+
+    def __repr__(self) -> str:
+        return (
+            f"Fold(parameter={shown_value(self.parameter, exact=False)}, "
+            f"amplitude_ratio={shown_value(self.amplitude_ratio, exact=False)}, "
+            f"contact_force={shown_value(self.contact_force, 'N', exact=False)}, "
+            f"found={shown_value(self.found)})"
+        )
 
 
 def fold_response(system: AbstractSystem, near: SpecialPoint | Fold, *, axis: str) -> Fold:

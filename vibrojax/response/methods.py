@@ -6,6 +6,7 @@ import diffrax
 import equinox as eqx
 
 from vibrojax._checks import check_count
+from vibrojax._described import described
 from vibrojax.contact import Stop
 
 SAMPLES = ((1e-3, 128), (1e-4, 256), (1e-5, 512), (1e-6, 1024))
@@ -46,6 +47,9 @@ class HarmonicBalance(eqx.Module):
                 )
         if self.harmonics is not None:
             check_count("harmonics", self.harmonics)
+
+    def __repr__(self) -> str:
+        return described(self)
 
     def samples_for(self, tolerance: float) -> int:
         """Return the samples per drive period for a relative error.
@@ -95,3 +99,6 @@ class Shooting(eqx.Module):
             raise ValueError(f"solver must be a diffrax solver, got {self.solver!r}.")
         check_count("steps_per_period", self.steps_per_period, least=16)
         check_count("max_steps", self.max_steps)
+
+    def __repr__(self) -> str:
+        return described(self)

@@ -52,7 +52,7 @@ class LinearlyImplicit(AbstractMethod):
     """Error to expect relative to the response, from which the steps are chosen."""
     steps_per_period: int | None = eqx.field(static=True, default=None)
     """Steps per drive period, instead of those chosen from the tolerance and the damping."""
-    longest_step: float | None = eqx.field(static=True, default=None)
+    longest_step: float | None = eqx.field(static=True, default=None, metadata={"units": "s"})
     """Longest step, s, instead; as many equal ones are taken as fill a drive period."""
     refinements: int = eqx.field(static=True, default=2)
     """Corrections of the solve for the change of the mass; more for links that fold sharply."""

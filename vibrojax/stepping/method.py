@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from vibrojax._checks import check_count, check_range, concrete
+from vibrojax._described import described
 from vibrojax.drive import AbstractDrive
 from vibrojax.stepping import exact_contact, splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
@@ -150,6 +151,9 @@ class AbstractMethod(diffrax.AbstractSolver):
         if args.equations.memory_size:  # arrays without elements upset XLA in diffrax's loop
             ends |= {"memory0": y0[n:], "memory1": state[n:]}
         return state, None, ends, solver_state, result
+
+    def __repr__(self) -> str:
+        return described(self)
 
 
 def _motion_of(args: object) -> Motion:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import ArrayLike
@@ -225,7 +226,7 @@ def _settings(spec: MapSpec, maker: RigMaker) -> dict[str, Any]:
         "fixed": {n: repr(v) for n, v in spec.arguments.fixed.items()},
         "frequency": {"axis": spec.grid.axis, "values": spec.grid.values.tolist()},
         "single_frequency": spec.grid.single,
-        "response": repr(spec.response),
+        "response": spec.response.recipe,
         "measures": {m.name: None if m.own else identity_of(m.function) for m in spec.measures},
         "keep_curves": spec.keep_curves,
         "gradients": list(spec.gradients),
@@ -239,7 +240,8 @@ def _identity(system: AbstractSystem) -> str:
     digits = hashlib.sha256()
     for leaf in jax.tree.leaves(system):
         digits.update(np.asarray(leaf).tobytes())
-    return f"{system!r} {digits.hexdigest()[:16]}"
+    # Not its repr, which is for people and may change: a store is known by this text.
+    return f"{eqx.tree_pformat(system)} {digits.hexdigest()[:16]}"
 
 
 def _attributes(spec: MapSpec, sample: AbstractSystem, settings: dict[str, Any]) -> dict[str, Any]:
@@ -272,7 +274,7 @@ def _call(spec: MapSpec) -> str:
         parts.append(inside)
     parts += [f"{n}={v!r}" for n, v in spec.arguments.fixed.items()]
     parts.append(f"{spec.grid.axis}={values[0] if spec.grid.single else values!r}")
-    settings = repr(spec.response)
+    settings = spec.response.recipe
     parts.append(f"response=vj.{settings}")
     names = ", ".join(repr(m.name) if m.own else m.name for m in spec.measures)
     parts.append(f"measures=[{names}]")

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from vibrojax._described import described, shown_value
 from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive, AbstractWaveform
 
@@ -154,6 +155,9 @@ class AbstractEquations(eqx.Module):
         )
         return jnp.linalg.solve(self.mass(q), total)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(coordinates: {self.size}, stops: {len(self.stops)})"
+
 
 class AbstractGauge(eqx.Module):
     """Reads what can be watched off modal coordinates, beyond the displacement and the energy."""
@@ -278,6 +282,13 @@ class LinearEquations(AbstractEquations):
         free = self.input_map * drive_input - self._damping(rate) - stiffness
         return free - self.force_map @ self.contact_forces(q, rate, memory)
 
+    def __repr__(self) -> str:
+        frequencies = shown_value(self.angular_frequency, "rad/s", exact=False)
+        return (
+            f"LinearEquations(coordinates: {self.size}, stops: {len(self.stops)}, "
+            f"angular_frequency={frequencies})"
+        )
+
 
 def contact_slope(stop: Stop) -> Float[Array, "*lanes"]:
     """Stiffness of a stop not touched before, N/m: at a tenth of its gap, beyond the rounding."""
@@ -356,6 +367,9 @@ class AbstractSystem(eqx.Module):
         """
         return self
 
+    def __repr__(self) -> str:
+        return described(self)
+
 
 def as_stops(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:
     """Return one stop or several as a tuple."""
@@ -390,6 +404,9 @@ class Motion(eqx.Module):
     waveform: AbstractWaveform
     prepared: Any = None
     """What a solver computes once for these equations (`ContactPhases`), or None."""
+
+    def __repr__(self) -> str:
+        return described(self)
 
     def sharp_equations(self) -> AbstractEquations:
         """Return the equations with the corner of the contact force kept, where it can be."""

@@ -16,6 +16,7 @@ from vibrojax._checks import (
     concrete,
     number_field,
 )
+from vibrojax._described import described
 from vibrojax.contact import Stop
 from vibrojax.contact_laws import AbstractContactLaw, KelvinVoigt
 from vibrojax.drive import AbstractDrive, BaseMotion, NoDrive
@@ -33,13 +34,13 @@ class Limiters(eqx.Module):
     is not above 0, a negative smoothing, or a law that is none.
     """
 
-    height: Number = number_field("height")
+    height: Number = number_field("height", "m")
     """Height h above the hinge, m."""
-    distance: Number = number_field("distance")
+    distance: Number = number_field("distance", "m")
     """Distance from one limiter to the other, m; the pendulum is a line in the middle."""
     law: AbstractContactLaw  # pyright: ignore[reportGeneralTypeIssues]
     """Force as a function of penetration and rate."""
-    smoothing: Number | None = number_field("smoothing", default=0.0)
+    smoothing: Number | None = number_field("smoothing", "m", default=0.0)
     """Width, m of penetration, over which the corner of the force is rounded; 0 keeps it.
 
     The printed limiters are so stiff that the pendulum rests on them 4 micrometres deep.
@@ -60,6 +61,9 @@ class Limiters(eqx.Module):
         right, left = (Stop(None, gap, self.law, side, self.smoothing) for side in (1, -1))
         return right, left
 
+    def __repr__(self) -> str:
+        return described(self)
+
 
 class ElasticPendulum(AbstractSystem):
     """An inverted pendulum of rigid links with springs between them, hinged to a moving base.
@@ -73,27 +77,27 @@ class ElasticPendulum(AbstractSystem):
     hinge, or a drive other than `BaseMotion` and `NoDrive`.
     """
 
-    length: Number = number_field("length")
+    length: Number = number_field("length", "m")
     """Length L from hinge to tip, m."""
-    width: Number = number_field("width")
+    width: Number = number_field("width", "m")
     """Width of the section, m."""
-    thickness: Number = number_field("thickness")
+    thickness: Number = number_field("thickness", "m")
     """Thickness of the section in the direction of motion, m."""
-    youngs_modulus: Number = number_field("youngs_modulus")
+    youngs_modulus: Number = number_field("youngs_modulus", "Pa")
     """Young's modulus E, Pa; a joint between links of length l has the stiffness k = E I/l."""
-    density: Number = number_field("density")
+    density: Number = number_field("density", "kg/m3")
     """Density, kg/m3."""
     limiters: Limiters | None = None
     """The two limiters, or None."""
     drive: AbstractDrive = eqx.field(default_factory=NoDrive)
     """Motion of the base across the pendulum, or none."""
-    tip_mass: Number = number_field("tip_mass", default=0.0)
+    tip_mass: Number = number_field("tip_mass", "kg", default=0.0)
     """Mass at the tip, kg."""
-    joint_damping: Number = number_field("joint_damping", default=0.0)
+    joint_damping: Number = number_field("joint_damping", "N m s/rad", default=0.0)
     """Damping beta of every joint between two links, N m s/rad."""
-    bearing_damping: Number = number_field("bearing_damping", default=0.0)
+    bearing_damping: Number = number_field("bearing_damping", "N m s/rad", default=0.0)
     """Damping c0 of the hinge, N m s/rad."""
-    gravity: Number = number_field("gravity", default=9.81)
+    gravity: Number = number_field("gravity", "m/s2", default=9.81)
     """Acceleration of gravity, m/s2."""
     num_links: int = eqx.field(static=True, default=17)
     """How many rigid links there are."""

@@ -12,6 +12,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_count, concrete
+from vibrojax._described import shown_value
 from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive, NoDrive
 from vibrojax.systems.base import (
@@ -31,6 +32,10 @@ class MatrixModes(NamedTuple):
     """rad/s."""
     shapes: Float[Array, "coordinates modes"]
     """One mode per column, each of modal mass 1 kg: displacements are shapes @ q."""
+
+    def __repr__(self) -> str:
+        frequencies = shown_value(self.angular_frequency, "rad/s", exact=False)
+        return f"MatrixModes(angular_frequency={frequencies}, shapes {np.shape(self.shapes)})"
 
 
 class MatrixSystem(AbstractSystem):
@@ -66,9 +71,9 @@ class MatrixSystem(AbstractSystem):
     `RuntimeError` there.
     """
 
-    mass: Float[Array, "coordinates coordinates"]
-    damping: Float[Array, "coordinates coordinates"]
-    stiffness: Float[Array, "coordinates coordinates"]
+    mass: Float[Array, "coordinates coordinates"] = eqx.field(metadata={"units": "kg"})
+    damping: Float[Array, "coordinates coordinates"] = eqx.field(metadata={"units": "N s/m"})
+    stiffness: Float[Array, "coordinates coordinates"] = eqx.field(metadata={"units": "N/m"})
     stops: tuple[Stop, ...]
     stop_map: Float[Array, "stops coordinates"]
     drive: AbstractDrive

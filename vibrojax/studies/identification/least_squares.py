@@ -99,9 +99,17 @@ def _held(point, jacobian, residual, low, high):
 
 
 class LevenbergMarquardt:
-    """optimistix.LevenbergMarquardt, within bounds, for many starts."""
+    """optimistix.LevenbergMarquardt, within bounds, for many starts.
 
-    def __init__(self, most_steps: int = 60, solver: Any = optx.LevenbergMarquardt):
+    Parameters:
+        most_steps: steps from a start before it is given up.
+        solver: a class of optimistix to make the solver from, called with rtol and atol.
+    """
+
+    most_steps: int
+    solver: Any
+
+    def __init__(self, most_steps: int = 60, solver: Any = optx.LevenbergMarquardt) -> None:
         self.most_steps, self.solver = most_steps, solver
 
     def __call__(
@@ -154,11 +162,24 @@ class LevenbergMarquardt:
                 break
         return Found(best, cost, done, count)
 
+    def __repr__(self) -> str:
+        solver = getattr(self.solver, "__qualname__", repr(self.solver))
+        return f"LevenbergMarquardt(most_steps={self.most_steps}, solver={solver})"
+
 
 class Optax:
-    """Any optax optimiser on half the sum of squares, for many starts."""
+    """Any optax optimiser on half the sum of squares, for many starts.
 
-    def __init__(self, optimiser: optax.GradientTransformation, steps: int = 200):
+    Parameters:
+        optimiser: an optax transformation, such as `optax.adam(0.05)`; the numbers it moves are
+            scaled as the `transforms` of `identify` say.
+        steps: steps from a start before it is given up.
+    """
+
+    optimiser: optax.GradientTransformation
+    steps: int
+
+    def __init__(self, optimiser: optax.GradientTransformation, steps: int = 200) -> None:
         self.optimiser, self.steps = optimiser, steps
 
     def __call__(
@@ -187,3 +208,7 @@ class Optax:
             moved = np.max(np.abs(np.asarray(after - point)), axis=1)
             point, taken = after, taken + 1
         return Found(best, cost, moved <= tolerance, np.full(len(start), taken))
+
+    def __repr__(self) -> str:
+        # An optax transformation is a pair of nameless functions.
+        return f"Optax(optimiser={type(self.optimiser).__name__}, steps={self.steps})"

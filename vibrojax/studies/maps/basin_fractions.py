@@ -149,7 +149,9 @@ class BasinFractions(AbstractMapResponse):
             folds={},
         )
 
-    def __repr__(self) -> str:
+    @property
+    def recipe(self) -> str:
+        """The settings as Python, and a digest of the function of the starts."""
         # What decides the values: a store of another function of starts is refused.
         text = hashlib.sha256(identity_of(self.start).encode()).hexdigest()[:16]
         name = getattr(self.start, "__name__", "start")
@@ -157,8 +159,11 @@ class BasinFractions(AbstractMapResponse):
         settings = ", ".join(f"{n}={v!r}" for n, v in self.plan._asdict().items() if n in SETTINGS)
         return (
             f"BasinFractions({name}, {numbers}, starts={self.starts!r}, samples={self.samples}, "
-            f"seed={self.seed}, {settings}, method={self.method!r})  # start {text}"
+            f"seed={self.seed}, {settings}, method={eqx.tree_pformat(self.method)})  # start {text}"
         )
+
+    def __repr__(self) -> str:
+        return self.recipe
 
 
 SETTINGS = ("transient", "periods", "max_period", "tolerance", "barrier")

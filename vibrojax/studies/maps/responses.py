@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax._checks import check_choice
+from vibrojax._described import described
 from vibrojax.results.frequency_response import CURVES as SWEPT_CURVES
 from vibrojax.results.status import Status
 from vibrojax.stepping.method import AbstractMethod
@@ -106,6 +107,14 @@ class AbstractMapResponse(eqx.Module):
     def bytes_per_point(self) -> int:
         """Memory that a point of a curve takes while its block is computed."""
         return 8 * (len(self.variables) + 24)
+
+    @property
+    def recipe(self) -> str:
+        """The settings as Python, without those that are as by default: a store is known by it."""
+        return eqx.tree_pformat(self)
+
+    def __repr__(self) -> str:
+        return described(self)
 
 
 class SettledSweep(AbstractMapResponse):

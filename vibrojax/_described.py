@@ -1,0 +1,88 @@
+"""How the parts of a system show themselves: numbers with units, never a dump of arrays.
+
+Numbers are shown in as few digits as tell them from all others, so that equal texts mean equal
+numbers. What JAX is tracing, and placeholders, show their shape.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from vibrojax._checks import is_traced
+
+WIDTH = 100
+"""Longest text that stays on one line."""
+SHOWN = 4
+"""Values of a batch that are all shown."""
+
+
+def shown_value(value: Any, units: str = "", exact: bool = True) -> str:
+    """Return one number, a batch of them, or anything else, in words.
+
+    What was computed has digits enough for the eye when it is not `exact`.
+    """
+    tail = f" {units}" if units else ""
+    if isinstance(value, bool | str | type(None)):
+        return repr(value)
+    if is_traced(value) or isinstance(value, jax.ShapeDtypeStruct):
+        return f"<traced{f' {value.shape}' if value.shape else ''}>{tail}"
+    if isinstance(value, int | float):
+        return _digits(value, exact) + tail
+    if isinstance(value, jax.Array | np.ndarray | np.generic) and np.size(value):
+        return _shown_array(np.asarray(value), exact) + tail
+    if isinstance(value, eqx.Module):
+        if type(value).__repr__ is not eqx.Module.__repr__:
+            return repr(value)
+        text = repr(value)
+        return text if len(text) <= WIDTH else f"{type(value).__name__}(...)"
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(shown_value, value))})"
+    text = repr(value)
+    return text if len(text) <= WIDTH else f"<{type(value).__name__}>"
+
+
+def _shown_array(values: np.ndarray, exact: bool) -> str:
+    if values.ndim == 0:
+        return _digits(values[()], exact)
+    if values.ndim == 1 and values.size <= SHOWN:
+        return f"[{', '.join(_digits(value, exact) for value in values)}]"
+    low, high = _digits(values.min(), exact), _digits(values.max(), exact)
+    shape = " x ".join(map(str, values.shape))
+    return f"{low if low == high else f'{low} to {high}'} ({shape} values)"
+
+
+def _digits(value: Any, exact: bool) -> str:
+    """Return the shortest text that stands for this number only, without an empty fraction."""
+    if isinstance(value, int | np.integer | np.bool_):
+        return str(value)
+    short = f"{value:.6g}"
+    return short if not exact or type(value)(short) == value or value != value else str(value)
+
+
+def described(module: Any) -> str:
+    """Return the name of a module with its fields: on one line, or parts of it on lines below.
+
+    Fields that hold None or nothing are left out where that is the default.
+    """
+    numbers, parts = [], []
+    for field in dataclasses.fields(module):
+        value = getattr(module, field.name, None)
+        nothing = value is None or (isinstance(value, tuple) and not value)
+        if nothing and field.default in (value, dataclasses.MISSING):
+            continue
+        if isinstance(value, tuple) and all(isinstance(v, eqx.Module) for v in value):
+            parts += [(f"{field.name}[{k}]", v) for k, v in enumerate(value)]
+        elif isinstance(value, eqx.Module):
+            parts.append((field.name, value))
+        else:
+            numbers.append(f"{field.name}={shown_value(value, field.metadata.get('units', ''))}")
+    shown = [(name, shown_value(value)) for name, value in parts]
+    line = ", ".join([*numbers, *(f"{name}={text}" for name, text in shown)])
+    name = type(module).__name__
+    if not any("\n" in text for _, text in shown) and len(line) + len(name) <= WIDTH:
+        return f"{name}({line})"
+    below = [f"  {part}: " + text.replace("\n", "\n  ") for part, text in shown]
+    return "\n".join([f"{name}({', '.join(numbers)})", *below])
