@@ -23,6 +23,8 @@ from vibrojax.drive import Chirp as Chirp
 from vibrojax.drive import Harmonic as Harmonic
 from vibrojax.drive import NoDrive as NoDrive
 from vibrojax.drive import PointForce as PointForce
+from vibrojax.explorer.explore import explore as explore
+from vibrojax.explorer.explorer import Explorer as Explorer
 from vibrojax.measured.curve import MeasuredCurve as MeasuredCurve
 from vibrojax.measured.curve import MeasuredCurves as MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory as MeasuredHistory

@@ -88,13 +88,13 @@ def read_balanced(
         contacts=jnp.sum(entered) + zero,
         initial_state=state_of(equations, drive, w, at.force, zero, samples=samples, period=period),
         multipliers=jnp.linalg.eigvals(
-            jax.lax.stop_gradient(_monodromy(place, at, 1 / per_second))
+            jax.lax.stop_gradient(kicked_monodromy(place, at, 1 / per_second))
         ),
         residual=jnp.sqrt(jnp.sum(jnp.abs(at.residual) ** 2)) / size,
     )
 
 
-def _monodromy(place: Place, at, interval):
+def kicked_monodromy(place: Place, at, interval):
     """Jacobian of the period map: exact flight over every sample, contact as a kick."""
     equations = place.equations
     n = equations.size

@@ -118,7 +118,7 @@ def _curve(
     """Draw points and curve of every channel, and the residuals; return the legend."""
     channels = []
     if measured.amplitude is not None:
-        channels.append((_amplitude_label(measured), measured.amplitude))
+        channels.append((amplitude_label(measured), measured.amplitude))
     if measured.contact_force is not None:
         channels.append((label_of("contact_force"), measured.contact_force))
     folds = _folds(prediction)
@@ -153,7 +153,7 @@ def _curve(
     return _curve_legend(measured, prediction, bool(folds))
 
 
-def _amplitude_label(measured: MeasuredCurve) -> str:
+def amplitude_label(measured: MeasuredCurve) -> str:
     signal = f"{'absolute ' * (measured.frame == 'absolute')}{measured.signal}"
     what = f"{signal.capitalize()}, {WORDS[measured.quantity]}"
     unit = "over drive amplitude" if measured.is_ratio else f"({measured.unit})"

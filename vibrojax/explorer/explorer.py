@@ -1,0 +1,260 @@
+"""The explorer: sliders, a frequency response that follows them, and the orbit under the cursor."""
+
+import base64
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from vibrojax._checks import nearest
+from vibrojax.explorer.live_curve import CurveTracer, LiveCurve
+from vibrojax.explorer.live_orbit import LiveOrbit, orbit_at
+from vibrojax.measured.curve import MeasuredCurve
+from vibrojax.response.continuation import Ending
+from vibrojax.results.branch import Branch, axis_description
+from vibrojax.systems.base import AbstractSystem
+
+if TYPE_CHECKING:
+    from vibrojax.explorer.picture import LivePicture
+
+NOTE = "A still picture: the sliders are there where the notebook runs (in Jupyter, ipywidgets)."
+
+
+class Slider(NamedTuple):
+    """One number that can be moved."""
+
+    low: float
+    high: float
+    value: float
+    """Where it starts."""
+
+    @property
+    def is_logarithmic(self) -> bool:
+        """Whether its range spans so much that it moves in decades."""
+        return self.low > 0 and self.high > 20 * self.low
+
+
+class Measurement(NamedTuple):
+    """A measured curve and which of its channels is drawn."""
+
+    curve: MeasuredCurve
+    values: np.ndarray
+
+
+class Explorer:
+    """A frequency response with sliders, as `explore` makes it.
+
+    In a notebook with ipywidgets it shows itself with its sliders; elsewhere, and in a saved
+    notebook, as a still picture. What the sliders say is in `values`; `system()` and `branch()`
+    take it further.
+    """
+
+    def __init__(
+        self,
+        tracer: CurveTracer,
+        sliders: dict[str, Slider],
+        labels: tuple[str, str],
+        force: bool,
+        measured: tuple[Measurement, ...] = (),
+    ):
+        self._tracer, self.sliders, self._labels = tracer, sliders, labels
+        self._force = force
+        """Whether the contact force is what is drawn against frequency."""
+        self._measured = measured
+        self._start = {name: slider.value for name, slider in sliders.items()}
+        self._panel: Any = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The numbers that the sliders show; without sliders on screen, where they start."""
+        return dict(self._start) if self._panel is None else self._panel.values
+
+    def __dir__(self) -> list[str]:
+        return [
+            "branch",
+            "curve",
+            "figure",
+            "orbit",
+            "save",
+            "sliders",
+            "system",
+            "values",
+            "widget",
+        ]
+
+    def __repr__(self) -> str:
+        moved = [
+            f"{name} {slider.low:g} to {slider.high:g} {_unit(name)}".rstrip()
+            for name, slider in self.sliders.items()
+        ]
+        return f"Explorer({', '.join(moved)})\n  {NOTE}"
+
+    def _numbers(self, numbers: dict[str, float]) -> dict[str, float]:
+        for name in numbers:
+            if name not in self.sliders:
+                raise ValueError(f"Unknown number {name!r}. {nearest(name, self.sliders)}")
+        return self.values | {name: float(value) for name, value in numbers.items()}
+
+    def system(self, **numbers: float) -> AbstractSystem:
+        """Return the system with the numbers of the sliders, or others given by name.
+
+        Raises `ValueError` for a name that has no slider, or numbers that the function refuses.
+        """
+        return self._tracer.system(self._numbers(numbers))
+
+    def curve(self, **numbers: float) -> LiveCurve:
+        """Return the curve that is drawn for these numbers (balance of 128 samples).
+
+        Raises `ValueError` as `system` does.
+        """
+        chosen = self._checked(numbers)
+        return self._shown(self._tracer(chosen))
+
+    def quick_curve(self, winds: bool, **numbers: float) -> LiveCurve:
+        """Return the curve, or where it winds (for `winds` at once) a quick look at it.
+
+        Raises `ValueError` as `system` does.
+        """
+        return self._shown(self._tracer.quick(self._checked(numbers), winds))
+
+    def _checked(self, numbers: dict[str, float]) -> dict[str, float]:
+        chosen = self._numbers(numbers)
+        self._tracer.system(chosen)  # concrete numbers are checked, traced ones are not
+        return chosen
+
+    def _shown(self, curve: LiveCurve) -> LiveCurve:
+        return curve._replace(response=curve.contact_force) if self._force else curve
+
+    def orbit(self, frequency: float, **numbers: float) -> LiveOrbit:
+        """Return the orbit whose frequency (ratio or Hz, as drawn) is nearest, stable if it can be.
+
+        Raises `ValueError` as `system` does, and where no curve was found.
+        """
+        curve = self.curve(**numbers)
+        return orbit_at(curve, nearest_point(curve, frequency))
+
+    def branch(self, **numbers: float) -> Branch:
+        """Return the exact branch (`continue_response`) with the numbers of the sliders.
+
+        Raises `ValueError` as `system` does.
+        """
+        from vibrojax.studies.continue_response import continue_response
+
+        tracer = self._tracer
+        frequencies: dict[str, Any] = {tracer.axis: (tracer.low, tracer.high)}
+        found = continue_response(self.system(**numbers), **frequencies)
+        assert isinstance(found, Branch)
+        return found
+
+    def picture(self) -> "LivePicture":
+        """Return an empty picture with its axes and the measured points."""
+        from vibrojax.explorer.picture import LivePicture
+
+        tracer = self._tracer
+        picture = LivePicture((tracer.low, tracer.high), *self._labels)
+        for measured, values in self._measured:
+            picture.lay_measured(measured, values)
+        picture.legend()
+        return picture
+
+    def figure(self, frequency: float | None = None, **numbers: float) -> Any:
+        """Return the still picture as a matplotlib figure.
+
+        `frequency` is that of the orbit drawn (ratio or Hz, as on the axis; by default the one of
+        the largest response). Raises `ValueError` as `system` does.
+        """
+        return self._still(frequency, numbers).figure
+
+    def save(self, path: str, frequency: float | None = None, **numbers: float) -> None:
+        """Write the still picture to a file (PNG, SVG, PDF by its ending), as `figure` draws it."""
+        self.figure(frequency, **numbers).savefig(path)
+
+    def _still(self, frequency: float | None, numbers: dict[str, float]) -> "LivePicture":
+        chosen = self._numbers(numbers)
+        picture, curve = self.picture(), self.curve(**chosen)
+        picture.show_curve(curve)
+        if len(curve.frequency):
+            at = highest_stable(curve) if frequency is None else nearest_point(curve, frequency)
+            picture.show_orbit(curve, orbit_at(curve, at), at)
+        picture.freeze(", ".join(f"{n} = {v:.4g} {_unit(n)}".rstrip() for n, v in chosen.items()))
+        return picture
+
+    @property
+    def widget(self) -> Any:
+        """The sliders and the picture as an ipywidgets box, to put into a layout of one's own.
+
+        Raises `ImportError` where ipywidgets is not installed.
+        """
+        if self._panel is None:
+            from vibrojax.explorer.panel import Panel
+
+            self._panel = Panel(self)
+        return self._panel.box
+
+    def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
+        """Show sliders in a live notebook; in all others a still picture with a note."""
+        bundle: dict[str, Any] = {"text/plain": repr(self)}
+        if kernel_is_live():
+            try:
+                bundle |= self.widget._repr_mimebundle_()
+            except ImportError:
+                bundle["text/plain"] += "\n  For sliders: pip install ipywidgets ipyevents"
+        still = self._still(None, {})
+        still.note(NOTE)
+        bundle["image/png"] = base64.b64encode(still.png()).decode()
+        return bundle
+
+    def sentence(self, curve: LiveCurve, at: int | None, seconds: float) -> str:
+        """Say in words what is drawn."""
+        if at is None or not len(curve.frequency):
+            return f"Nothing to draw here: {curve.ending.sentence}"
+        unit = "" if self._tracer.axis == "frequency_ratio" else " Hz"
+        stable = "stable" if curve.stable[at] else "unstable"
+        folds = ", ".join(f"{value:.5g}{unit}" for _, value in curve.folds[:6]) or "none"
+        words = (
+            f"Orbit at {curve.frequency[at]:.5g}{unit}: {stable} (largest multiplier "
+            f"{curve.leading_multiplier[at]:.3g}), response {curve.response[at]:.4g}, contact "
+            f"force {curve.contact_force[at]:.3g} N. Folds: {folds}. "
+        )
+        if curve.harmonics is not None:
+            words += f"A quick look with {curve.harmonics} harmonics: the curve winds. "
+        if curve.ending is not Ending.completed:
+            words += f"{curve.ending.sentence} "
+        return words + f"Drawn in {1e3 * seconds:.0f} ms."
+
+
+def nearest_point(curve: LiveCurve, frequency: float) -> int:
+    """Return the point of a curve nearest in frequency, a stable one first.
+
+    Raises `ValueError` where no curve was found.
+    """
+    if not len(curve.frequency):
+        raise ValueError(f"There is no curve to take an orbit from: {curve.ending.sentence}")
+    away = np.abs(curve.frequency - frequency)
+    near = away <= 2 * np.min(away) + 1e-3 * abs(frequency)
+    return int(np.argmin(np.where(near, away + 1e3 * ~curve.stable * np.ptp(away), np.inf)))
+
+
+def highest_stable(curve: LiveCurve) -> int:
+    """Return the point of the largest stable response (of all, where none is stable)."""
+    shown = np.where(curve.stable, curve.response, -np.inf)
+    return int(np.argmax(shown if np.isfinite(shown).any() else curve.response))
+
+
+def kernel_is_live() -> bool:
+    """Whether this runs in the kernel of a notebook."""
+    try:
+        from IPython.core.getipython import get_ipython
+    except ImportError:
+        return False
+    return hasattr(get_ipython(), "kernel")
+
+
+def _unit(name: str) -> str:
+    units = axis_description(name).get("units", "1")
+    return "" if units == "1" else units
+
+
+def label_of_number(name: str) -> str:
+    """Return the name of a number with its unit, where it is known."""
+    unit = _unit(name)
+    return f"{name} ({unit})" if unit else name

@@ -1,0 +1,229 @@
+"""A whole frequency response in a few hundredths of a second, for a slider that moves.
+
+The branch is traced as `continue_response` does; its points are read off the balance and stay
+there (1e-4 and better at 128 samples), in place of being made exact. Stability comes from the exact
+propagators between the contact times of the balanced motion where stops are linear, else from
+kicks.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float
+
+from vibrojax.response.balanced_motion import kicked_monodromy
+from vibrojax.response.condensed import (
+    balance,
+    cell_average,
+    condensed_problem,
+    differentiate,
+    state_of,
+)
+from vibrojax.response.contact_times import MOST_EVENTS, Orbit, follow_events, tables_of
+from vibrojax.response.continuation import LONGEST_STEP, Ending, Settings, begin
+from vibrojax.response.orbit_reading import find_crossings
+from vibrojax.response.paths import FrequencyPath, Place, frequency_path
+from vibrojax.response.sensor import Sensor, observe
+from vibrojax.response.tracing import Traced, free_motion, in_batches, take, trace_branches
+from vibrojax.systems.base import AbstractSystem, as_arrays
+
+SAMPLES = 128
+CONVERGED = 1e-4
+"""Relative Newton correction at which a point counts as found."""
+QUICK_HARMONICS = 12
+MOST_QUICK_POINTS = 250
+"""Points of a curve that may take no more than a tenth of a second."""
+BATCH = 32
+
+
+class LiveCurve(NamedTuple):
+    """One branch along the drive frequency, in order of arclength."""
+
+    frequency: Float[np.ndarray, " points"]
+    """Ratio to the first natural frequency, or Hz."""
+    response: Float[np.ndarray, " points"]
+    """What the sensor shows."""
+    contact_force: Float[np.ndarray, " points"]
+    """Largest contact force, N."""
+    leading_multiplier: Float[np.ndarray, " points"]
+    direction: Float[np.ndarray, " points"]
+    """Change of the frequency along the branch."""
+    ending: Ending
+    depth: Complex[np.ndarray, "points stops harmonics"]
+    path: FrequencyPath
+    """As one lane of a stack."""
+    harmonics: int | None
+    """Harmonics kept; None: all that the samples carry."""
+
+    @property
+    def stable(self) -> Bool[np.ndarray, " points"]:
+        """Whether all Floquet multipliers lie inside the unit circle."""
+        return self.leading_multiplier < 1.0
+
+    @property
+    def folds(self) -> list[tuple[int, float]]:
+        """Where the branch turns round: index of the point, and frequency (parabola through 3)."""
+        turns = np.flatnonzero(np.diff(np.sign(self.direction)) != 0)
+        found = []
+        for k in turns:
+            way = np.sign(self.direction[k])
+            at = int(k if way * self.frequency[k] >= way * self.frequency[k + 1] else k + 1)
+            found.append((at, float(_vertex(self.frequency[max(at - 1, 0) : at + 2]))))
+        return found
+
+
+def _vertex(values: np.ndarray) -> float:
+    """Extreme of the parabola through three points at equal distances."""
+    if len(values) < 3:
+        return values[-1]
+    before, middle, after = values
+    bend = before - 2 * middle + after
+    return middle - (after - before) ** 2 / (8 * bend) if bend else middle
+
+
+@eqx.filter_jit
+def _path(make, static: dict[str, Any], numbers: dict[str, Array], is_ratio: bool, exact: bool):
+    system = make(**static, **numbers)
+    path = frequency_path(as_arrays(system), is_ratio, exact)
+    return jax.tree.map(lambda a: a[None] if eqx.is_array(a) else a, path)
+
+
+def _contact_monodromy(path: FrequencyPath, place: Place, depth, force):
+    """Jacobian of the period map between the contact times read off the waveform."""
+    assert path.phases is not None
+    samples = 2 * (depth.shape[-1] - 1)
+    motion = depth / cell_average(samples, depth.shape[-1])
+    value, change = jnp.fft.irfft(jnp.stack([motion, differentiate(motion, samples)]), samples)
+    found = find_crossings(value, change, MOST_EVENTS, 1)
+    state = state_of(
+        place.equations,
+        place.drive,
+        place.angular_frequency,
+        force,
+        found.events.section,
+        samples=samples,
+    )
+    tables = tables_of(path.phases, place.drive, place.angular_frequency)
+    orbit = Orbit(state, found.times)
+    number = found.events.number
+    course = follow_events(tables, found.events, orbit, 1, number, with_jacobian=True)
+    assert course.jacobian is not None
+    weight = path.phases.weight
+    return jnp.where(
+        found.number <= MOST_EVENTS, weight[:, None] * course.jacobian / weight, jnp.nan
+    )
+
+
+@eqx.filter_jit
+def _glance(paths: FrequencyPath, depth, frequency, sensor: Sensor):
+    """What the sensor shows, the largest force and the leading multiplier of some motions."""
+    samples = 2 * (depth.shape[-1] - 1)
+    path = take(paths, 0)
+
+    def one(depth, frequency):
+        place = path.at(frequency)
+        w = place.angular_frequency
+        per_second = samples * w / (2 * jnp.pi)
+        problem = condensed_problem(place.equations, place.drive, w, samples=samples)
+        at = balance(problem, depth, per_second, samples)
+        shown, force = observe(sensor, place, problem, at.force, depth, 1)
+        if path.phases is None:
+            matrix = kicked_monodromy(place, at, 1 / per_second)
+        else:
+            matrix = _contact_monodromy(path, place, depth, at.force)
+        sound = jnp.all(jnp.isfinite(matrix))
+        multipliers = jnp.linalg.eigvals(jnp.where(sound, matrix, 0.0))
+        return shown, force, jnp.where(sound, jnp.max(jnp.abs(multipliers)), jnp.nan)
+
+    return jax.vmap(one)(depth, frequency)
+
+
+class CurveTracer(eqx.Module):
+    """From named numbers to a curve; compiled once for all of them.
+
+    `make` makes the system from the numbers and from what is `static`.
+    """
+
+    make: Any = eqx.field(static=True)
+    static: dict[str, Any]
+    axis: str = eqx.field(static=True)
+    """`frequency_ratio`, or `frequency` in Hz."""
+    low: float
+    high: float
+    sensor: Sensor
+    exact: bool
+    """Whether stops are linear, so that contact phases have propagators."""
+
+    def system(self, numbers: dict[str, float]) -> AbstractSystem:
+        """Return the system with these numbers."""
+        return self.make(**self.static, **numbers)
+
+    def __call__(self, numbers: dict[str, float]) -> LiveCurve:
+        """Return the whole curve; one of no points where none is found at the low end."""
+        path, traced = self._trace(numbers, None, 2000)
+        return self._read(path, traced, None)
+
+    def quick(self, numbers: dict[str, float], winds: bool) -> LiveCurve:
+        """Return the whole curve if it has few points, else a quick look with few harmonics.
+
+        Between very stiff stops a curve winds through dozens of small folds, which few harmonics
+        pass over. With `winds` that is expected, and the whole curve is not tried.
+        """
+        if not winds:
+            path, traced = self._trace(numbers, None, MOST_QUICK_POINTS)
+            if traced.ending is not Ending.running and len(traced.parameter) <= MOST_QUICK_POINTS:
+                return self._read(path, traced, None)
+        path, traced = self._trace(numbers, QUICK_HARMONICS, MOST_QUICK_POINTS)
+        return self._read(path, traced, QUICK_HARMONICS)
+
+    def _trace(
+        self, numbers: dict[str, float], harmonics: int | None, max_points: int
+    ) -> tuple[FrequencyPath, Traced]:
+        arrays = {name: jnp.asarray(value, float) for name, value in numbers.items()}
+        ratio = self.axis == "frequency_ratio"
+        path = jax.device_get(_path(self.make, self.static, arrays, ratio, self.exact))
+        start = np.array([self.low])
+        scale = (self.high - self.low) / 0.5
+        settings = Settings(
+            start=start,
+            low=start,
+            high=np.array([self.high]),
+            direction=np.ones(1),
+            scale=np.array([min(1.0, scale) if ratio else scale]),
+            tolerance=np.asarray(CONVERGED),
+            longest=np.asarray(LONGEST_STEP),
+        )
+        guess = free_motion(path, start, SAMPLES, 1)
+        (traced,) = trace_branches(
+            path,
+            settings,
+            begin(guess, start),
+            samples=SAMPLES,
+            harmonics=harmonics,
+            max_points=max_points,
+        )
+        return path, traced
+
+    def _read(self, path: FrequencyPath, traced: Traced, harmonics: int | None) -> LiveCurve:
+        count = len(traced.parameter)
+        shown, force, leading = np.zeros((3, 0))
+        if count:
+            shown, force, leading = in_batches(
+                lambda i: _glance(path, traced.depth[i], traced.parameter[i], self.sensor),
+                count,
+                BATCH,
+            )
+        return LiveCurve(
+            frequency=traced.parameter,
+            response=shown,
+            contact_force=force,
+            leading_multiplier=leading,
+            direction=traced.direction,
+            ending=traced.ending,
+            depth=traced.depth,
+            path=path,
+            harmonics=harmonics,
+        )

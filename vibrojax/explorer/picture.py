@@ -1,0 +1,250 @@
+"""The picture of the explorer: axes are drawn once, and only the lines again and again.
+
+A whole matplotlib figure takes longer than the curve in it, so the empty axes are kept as pixels.
+Limits grow when something leaves them and never shrink: what moves is the curve.
+"""
+
+import io
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from PIL import Image
+
+from vibrojax.explorer.live_curve import LiveCurve
+from vibrojax.explorer.live_orbit import LiveOrbit, orbit_at
+from vibrojax.explorer.swept_curve import swept_curve
+from vibrojax.measured.curve import DIRECTIONS, MeasuredCurve
+from vibrojax.results.plotting import COLORS, GREY, MARKERS
+
+SIZE, DPI = (11.0, 5.2), 100
+LABEL, SMALL = 12, 10
+PLACES = 25
+"""Frequencies at which a sweep has its marker."""
+BRANCH, ORBIT = "black", "#8a2be2"
+DASHES = (0, (4, 2))
+
+
+class LivePicture:
+    """A figure whose lines move. Pixels of the empty axes are kept between two drawings."""
+
+    def __init__(self, x: tuple[float, float], x_label: str, y_label: str):
+        self.figure = Figure(figsize=SIZE, dpi=DPI)
+        self.canvas = FigureCanvasAgg(self.figure)
+        grid = self.figure.add_gridspec(
+            2, 2, width_ratios=(1.7, 1), left=0.065, right=0.985, bottom=0.14, top=0.9, hspace=0.45
+        )
+        self.response = self.figure.add_subplot(grid[:, 0])
+        self.portrait = self.figure.add_subplot(grid[0, 1])
+        self.force = self.figure.add_subplot(grid[1, 1])
+        labels = (
+            (self.response, x_label, y_label),
+            (self.portrait, "Displacement (mm)", "Velocity (m/s)"),
+            (self.force, "Time (drive periods)", "Contact force (N)"),
+        )
+        for axes, below, beside in labels:
+            _dress(axes, below, beside)
+        self.response.set_xlim(*x)
+        self.response.set_ylim(0.0, 1e-9)
+        self.force.set_xlim(0.0, 1.0)
+        self.force.set_ylim(0.0, 1e-9)
+        self.portrait.set_xlim(-1e-9, 1e-9)
+        self.portrait.set_ylim(-1e-9, 1e-9)
+        self.portrait.xaxis.set_major_locator(MaxNLocator(6))
+        self.portrait.set_title("thick: in contact", fontsize=SMALL, loc="right", color=GREY)
+        self.lines = self._lines()
+        self.background: Any = None
+        self.points = np.zeros((0, 2))
+        """Pixels of the points of the curve, from the left and the bottom."""
+
+    def _lines(self) -> dict[str, Line2D]:
+        left, nothing = self.response, ([], [])
+        lines: dict[str, Line2D] = {}
+        (lines["stable"],) = left.plot(*nothing, color=BRANCH, linewidth=1.8)
+        (lines["unstable"],) = left.plot(*nothing, color=BRANCH, linewidth=1.4, linestyle=DASHES)
+        for way in ("forward", "backward"):
+            style: dict[str, Any] = {"color": COLORS[way], "markersize": 6, "linestyle": "none"}
+            face = COLORS[way] if way == "forward" else "white"
+            (lines[way],) = left.plot(*nothing, marker=MARKERS[way], markerfacecolor=face, **style)
+            (lines[f"{way} jumps"],) = left.plot(
+                *nothing,
+                color=COLORS[way],
+                linewidth=1.6,
+                linestyle="-" if way == "forward" else (0, (1.2, 1.2)),
+            )
+        (lines["orbit"],) = left.plot(
+            *nothing, marker="o", markersize=11, markerfacecolor="none", markeredgewidth=2.2,
+            color=ORBIT, linestyle="none",
+        )  # fmt: skip
+        for name, axes in (("portrait", self.portrait), ("force", self.force)):
+            (lines[name],) = axes.plot(*nothing, color=ORBIT, linewidth=1.4)
+        (lines["contact"],) = self.portrait.plot(*nothing, color=ORBIT, linewidth=4.0)
+        for line in lines.values():
+            line.set_animated(True)
+        return lines
+
+    def lay_measured(self, measured: MeasuredCurve, values: np.ndarray) -> None:
+        """Lay the points of a measurement under the curve."""
+        for way, name in DIRECTIONS.items():
+            at = measured.direction == way
+            if at.any():
+                self.response.plot(
+                    measured.frequency[at],
+                    values[at],
+                    marker={1: "^", -1: "v"}.get(way, "s"),
+                    markersize=5,
+                    color=GREY,
+                    markerfacecolor="#c8c8c8",
+                    linestyle="none",
+                    zorder=1,
+                    label=f"measured, {name}",
+                )
+        self._grow(self.response, y=(0.0, 1.05 * float(np.max(values))))
+
+    def legend(self) -> None:
+        """Name the lines, above the response."""
+        names = {"stable": "stable", "unstable": "unstable", "orbit": "orbit at the right"}
+        names |= {"forward": "forward sweep", "backward": "backward sweep"}
+        handles: list[Artist] = [self.lines[name] for name in names]
+        words = list(names.values())
+        own, own_words = self.response.get_legend_handles_labels()
+        named = [(h, w) for h, w in zip(own, own_words, strict=True) if not w.startswith("_")]
+        handles += [h for h, _ in named]
+        words += [w for _, w in named]
+        self.figure.legend(
+            handles,
+            words,
+            loc="upper left",
+            bbox_to_anchor=(0.05, 1.0),
+            ncols=len(words),
+            fontsize=SMALL,
+            frameon=False,
+            columnspacing=1.2,
+            handletextpad=0.5,
+        )
+
+    def make_room(self, curve: LiveCurve) -> None:
+        """Let the axes hold a curve and the orbit of its highest point."""
+        if len(curve.frequency):
+            self._hold(curve)
+            at = int(np.argmax(curve.response))
+            self._hold_orbit(orbit_at(curve, at))
+
+    def _hold(self, curve: LiveCurve) -> None:
+        self._grow(self.response, y=(0.0, 1.02 * float(np.nanmax(curve.response))))
+
+    def _hold_orbit(self, orbit: LiveOrbit) -> None:
+        x, y, force = 1e3 * orbit.displacement, orbit.velocity, orbit.contact_force.sum(axis=0)
+        self._grow(self.portrait, (x.min(), x.max()), (y.min(), y.max()))
+        self._grow(self.force, y=(min(0.0, force.min()), force.max()))
+
+    def _grow(self, axes: Axes, x: tuple | None = None, y: tuple | None = None) -> None:
+        """Make room for what has to be shown."""
+        for wanted, get, put in (
+            (x, axes.get_xlim, axes.set_xlim),
+            (y, axes.get_ylim, axes.set_ylim),
+        ):
+            if wanted is None:
+                continue
+            low, high = get()
+            below, above = min(low, wanted[0]), max(high, wanted[1])
+            if (below, above) != (low, high):
+                put(below * (1.1 if below < low else 1.0), above * (1.1 if above > high else 1.0))
+                self.background = None
+
+    def show_curve(self, curve: LiveCurve) -> None:
+        """Take the data of a curve."""
+        x, y = curve.frequency, curve.response
+        stable = curve.stable
+        # The unstable part reaches to the first stable points beside it.
+        beside = ~stable
+        beside[1:] |= ~stable[:-1]
+        beside[:-1] |= ~stable[1:]
+        self.lines["stable"].set_data(x, np.where(stable, y, np.nan))
+        self.lines["unstable"].set_data(x, np.where(beside, y, np.nan))
+        places = np.linspace(*self.response.get_xlim(), PLACES)
+        for way, name in ((1, "forward"), (-1, "backward")):
+            sweep = swept_curve(curve, way)
+            # Markers of the two directions stand side by side.
+            off = 0.25 * way * (places[1] - places[0])
+            self.lines[name].set_data(*sweep.places(places[1:-1] + off).T)
+            broken = [np.vstack([jump, [[np.nan, np.nan]]]) for jump in sweep.jumps]
+            data = np.concatenate([np.zeros((0, 2)), *broken])
+            self.lines[f"{name} jumps"].set_data(*data.T)
+        if len(y):
+            self._hold(curve)
+        self.points = self.response.transData.transform(np.stack([x, y], axis=1))
+
+    def show_orbit(self, curve: LiveCurve, orbit: LiveOrbit | None, at: int | None) -> None:
+        """Take the data of the orbit of a point of the curve."""
+        if orbit is None or at is None:
+            for name in ("orbit", "portrait", "contact", "force"):
+                self.lines[name].set_data([], [])
+            return
+        self.lines["orbit"].set_data([curve.frequency[at]], [curve.response[at]])
+        x, y = 1e3 * orbit.displacement, orbit.velocity
+        self.lines["portrait"].set_data(x, y)
+        self.lines["contact"].set_data(x, np.where(orbit.touching, y, np.nan))
+        force = orbit.contact_force.sum(axis=0)
+        self.lines["force"].set_data(orbit.phase, force)
+        self._hold_orbit(orbit)
+
+    def nearest(self, x: float, y: float) -> int | None:
+        """Return the point of the curve nearest to a place of the picture.
+
+        `x` and `y` are shares of its width from the left and of its height from the top; None
+        outside the panel of the response.
+        """
+        width, height = self.canvas.get_width_height()
+        place = np.array([x * width, (1 - y) * height])
+        if not len(self.points) or not self.response.bbox.contains(*place):
+            return None
+        return self._nearest(place)
+
+    def nearest_to(self, frequency: float, response: float) -> int:
+        """Return the point of the curve that is drawn nearest to these data."""
+        return self._nearest(self.response.transData.transform((frequency, response)))
+
+    def _nearest(self, place: np.ndarray) -> int:
+        return int(np.nanargmin(np.hypot(*(self.points - place).T)))
+
+    def freeze(self, title: str) -> None:
+        """Make it a still picture, with the numbers it was drawn for as its title."""
+        for line in self.lines.values():
+            line.set_animated(False)
+        self.response.set_title(title, fontsize=SMALL, loc="right", color=GREY)
+        self.background = None
+
+    def note(self, words: str) -> None:
+        """Write a sentence along the lower edge."""
+        self.figure.text(0.99, 0.008, words, fontsize=SMALL - 1, color=GREY, ha="right")
+        self.background = None
+
+    def png(self) -> bytes:
+        """Draw, and return the picture as PNG."""
+        if self.background is None:
+            self.canvas.draw()
+            self.background = self.canvas.copy_from_bbox(self.figure.bbox)
+        self.canvas.restore_region(self.background)
+        for line in self.lines.values():
+            assert line.axes is not None
+            line.axes.draw_artist(line)
+        stream = io.BytesIO()
+        picture = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3])
+        picture.save(stream, format="png", compress_level=1)
+        return stream.getvalue()
+
+
+def _dress(axes: Axes, below: str, beside: str) -> None:
+    axes.set_xlabel(below, fontsize=LABEL)
+    axes.set_ylabel(beside, fontsize=LABEL)
+    axes.tick_params(labelsize=SMALL)
+    axes.grid(True, color="#d9d9d9", linewidth=0.7)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
