@@ -13,6 +13,7 @@ from vibrojax._dtm import Shapes, add_masses, evaluate, solve
 from vibrojax.beam import Cantilever
 
 if TYPE_CHECKING:
+    import xarray
     from matplotlib.figure import Figure
 
 FORMULATIONS = ("consistent", "as_printed")
@@ -70,10 +71,24 @@ class Modes(eqx.Module):
         return evaluate(self.knots, self.coefficients, points, int(derivative))
 
     def plot(self) -> "Figure":
-        """Draw the shapes, each scaled to a largest displacement of 1; one beam at a time."""
+        """Draw the shapes, each scaled to a largest displacement of 1; one beam at a time.
+
+        Raises `ValueError` for a batch of beams.
+        """
         from vibrojax.results.plotting import plot_modes
 
         return plot_modes(self)
+
+    def to_xarray(self, points: int = 201) -> "xarray.Dataset":
+        """Return a dataset over `mode`, and of the shapes over `place`, with units.
+
+        `points` is the number of places x/L at equal distances from root to tip. Raises
+        `ValueError` for a batch of beams, or fewer than 2 points.
+        """
+        from vibrojax.results.modes_dataset import modes_dataset
+
+        check_count("points", points, least=2)
+        return modes_dataset(self, points)
 
     def __repr__(self) -> str:
         head = f"Modes(num_modes={self.num_modes}, formulation={self.formulation!r})"

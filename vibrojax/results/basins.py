@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax._checks import nearest
 from vibrojax.results.saving import save_dataset
-from vibrojax.results.variables import VARIABLES
+from vibrojax.results.variables import VARIABLES, axis_description, described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -197,11 +197,17 @@ class Basins(eqx.Module):
             data["boundary_share"] = (outer, edge, told("boundary_share"))
         coordinates: dict[str, Any] = {}
         for name, axis in self.axes.items():
-            coordinates[name] = (name, axis, told(name) if name in VARIABLES else {})
+            coordinates[name] = (
+                name,
+                axis,
+                told(name) if name in VARIABLES else axis_description(name),
+            )
         for name, axis in self.starts.items():
             dimension = name if self.sampling == "grid" else "start"
             coordinates[name] = (dimension, axis, {"units": self.units.get(name, "1")})
-        coordinates["attractor_number"] = np.arange(1, self.period.shape[-1] + 1)
+        numbers = np.arange(1, self.period.shape[-1] + 1)
+        described = described_as("attractor_number")
+        coordinates["attractor_number"] = ("attractor_number", numbers, described)
         return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
 
     def save(self, path: str | os.PathLike[str]) -> None:

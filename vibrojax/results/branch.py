@@ -7,7 +7,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
-from vibrojax.results.variables import VARIABLES
+from vibrojax.results.variables import VARIABLES, axis_unit
+from vibrojax.results.variables import axis_description as axis_description
 
 if TYPE_CHECKING:
     import xarray
@@ -219,7 +220,7 @@ class Branch(eqx.Module):
             "arclength": ("point", self.arclength, described("arclength")),
         }
         for name, value in self.labels.items():
-            coordinates[name] = value
+            coordinates[name] = ((), value, axis_description(name))
         attributes = dict(self.attributes) | {
             "status": self.status,
             "sentence": self.sentence,
@@ -267,31 +268,6 @@ class Branch(eqx.Module):
             lines.append(f"  and {len(self.special_points) - 8} special points more")
         lines.append(f"  {self.sentence}")
         return "\n".join(lines)
-
-
-def axis_unit(axis: str) -> str:
-    """Return the unit of a parameter; 1 for names that only the user's function knows."""
-    return VARIABLES[axis].units if axis in VARIABLES else PARAMETER_UNITS.get(axis, "1")
-
-
-def axis_description(axis: str) -> dict[str, str]:
-    """Return unit and long name of a parameter."""
-    known = VARIABLES[axis].long_name if axis in VARIABLES else axis.replace("_", " ").capitalize()
-    return {"units": axis_unit(axis), "long_name": known}
-
-
-PARAMETER_UNITS = {
-    "gap": "m",
-    "stiffness": "N/m",
-    "damping": "N s/m",
-    "base_amplitude": "m",
-    "length": "m",
-    "width": "m",
-    "thickness": "m",
-    "youngs_modulus": "Pa",
-    "density": "kg/m3",
-}
-"""Units of the numbers of the default rig; other names are taken as given by the user."""
 
 
 class Branches(eqx.Module):

@@ -1,5 +1,6 @@
 """Pictures of branches."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
@@ -20,7 +21,7 @@ from vibrojax.results.plotting import (
 )
 
 if TYPE_CHECKING:
-    from vibrojax.results.fold_curves import FoldCurves
+    from vibrojax.results.fold_curves import FoldCurve
     from vibrojax.results.frequency_response import FrequencyResponse
 
 MARKS = {
@@ -150,20 +151,23 @@ def _lay_sweep(
         labels.append(f"{direction} sweep")
 
 
-def plot_fold_curves(curves: "FoldCurves") -> Figure:
-    """Draw the frequencies of folds against a second number."""
-    if not curves.curves:
+def plot_fold_curves(curves: "Sequence[FoldCurve]") -> Figure:
+    """Draw the frequencies of folds against a second number.
+
+    Raises `ValueError` when there is no fold.
+    """
+    if not curves:
         raise ValueError("There are no folds to draw.")
     figure, axes = new_picture()
-    shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.75, len(curves.curves)))
-    for k, (curve, shade) in enumerate(zip(curves.curves, shades, strict=True)):
+    shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.75, len(curves)))
+    for k, (curve, shade) in enumerate(zip(curves, shades, strict=True)):
         axes.plot(curve.folds, curve.values, color=shade, linewidth=2.0, label=f"fold {k + 1}")
         # Where a fold ends inside the range, its end is marked.
         for end, why in zip((0, -1), curve.endings, strict=True):
             if why != "end of the range":
                 axes.plot(curve.folds[end], curve.values[end], "o", color=shade, markersize=7)
-    axes.set_xlabel(_axis_label(curves.axis), fontsize=LABEL)
-    axes.set_ylabel(_axis_label(curves.parameter), fontsize=LABEL)
+    axes.set_xlabel(_axis_label(curves[0].axis), fontsize=LABEL)
+    axes.set_ylabel(_axis_label(curves[0].parameter), fontsize=LABEL)
     lines, labels = axes.get_legend_handles_labels()
     outside_legend(axes, lines, labels)
     return figure

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
-from vibrojax._checks import check_range, is_traced
+from vibrojax._checks import check_range, is_traced, nearest
 from vibrojax.response.between_samples import contact_rows, largest
 from vibrojax.response.finer_steps import Rows
 from vibrojax.results.status import Status
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.figure import Figure
 
     from vibrojax.results.history import History
 
@@ -87,7 +88,24 @@ class Contacts:
             name: ("contact", getattr(self, name), {"units": units, "long_name": label})
             for name, (units, label) in COLUMNS.items()
         }
-        return xarray.Dataset(data, {"contact": np.arange(1, len(self) + 1)})
+        number = {"units": "1", "long_name": "Contact, from 1"}
+        return xarray.Dataset(data, {"contact": ("contact", np.arange(1, len(self) + 1), number)})
+
+    def plot(self, *columns: str) -> "Figure":
+        """Draw columns of the table against the time of touch, one panel each.
+
+        `columns` are names of fields; by default `peak_force` and `approach_speed`. Raises
+        `ValueError` for an unknown column, or when there is no contact to draw.
+        """
+        from vibrojax.results.contacts_plot import plot_contacts
+
+        columns = columns or ("peak_force", "approach_speed")
+        for name in columns:
+            if name not in COLUMNS:
+                raise ValueError(f"Unknown column {name!r}. {nearest(str(name), COLUMNS)}")
+        if not len(self):
+            raise ValueError("There are no contacts to draw.")
+        return plot_contacts(self, columns)
 
     def __repr__(self) -> str:
         head = f"Contacts({len(self)})"

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from vibrojax._checks import check_choice
 from vibrojax.response.between_samples import flow
 from vibrojax.results.contacts import samples_of
+from vibrojax.results.variables import described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -96,8 +97,8 @@ class EnergyFlow:
         }
         coordinates = {
             "time": ("time", self.time, {"units": "s", "long_name": "Time"}),
-            "mode": np.arange(1, self.modal_energy.shape[1] + 1),
-            "stop": np.arange(1, self.stop_energy.shape[1] + 1),
+            "mode": ("mode", np.arange(1, self.modal_energy.shape[1] + 1), described_as("mode")),
+            "stop": ("stop", np.arange(1, self.stop_energy.shape[1] + 1), described_as("stop")),
         }
         return xarray.Dataset(data, coordinates)
 

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from vibrojax.results.plotting import Picture
+
 if TYPE_CHECKING:
     from vibrojax.results.energy import EnergyFlow
 
@@ -18,7 +20,7 @@ def plot_energy(energy: "EnergyFlow", kind: str) -> Figure:
     """Draw the share of every mode, and below it what was lost and put in."""
     every = max(1, energy.time.size // MOST_POINTS)
     time, share = energy.time[::every], energy.share[::every]
-    figure = Figure(figsize=(10, 7), dpi=150, layout="constrained")
+    figure = Picture(figsize=(10, 7), dpi=150, layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True)
     names = [f"mode {i + 1}" for i in range(share.shape[1])]
     colours = [COLOURS[i % len(COLOURS)] for i in range(share.shape[1])]

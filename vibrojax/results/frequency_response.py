@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from vibrojax.results.saving import save_dataset
 from vibrojax.results.status import Status
-from vibrojax.results.variables import VARIABLES
+from vibrojax.results.variables import VARIABLES, axis_description
 
 if TYPE_CHECKING:
     import xarray
@@ -160,10 +160,13 @@ class FrequencyResponse(eqx.Module):
         for name in ("peak_amplitude_ratio", "peak_frequency", "resonance_shift"):
             units_of = {"peak_amplitude_ratio": self.ratio_units, "peak_frequency": axis_units}
             label = name.replace("_", " ").capitalize()
-            described_as = {"units": units_of.get(name, "1"), "long_name": label}
-            data[name] = (outer, np.asarray(getattr(self, name)), described_as)
-        coordinates: dict[str, Any] = {name: (name, values) for name, values in self.axes.items()}
-        coordinates["direction"] = ("direction", list(self.directions))
+            labelled = {"units": units_of.get(name, "1"), "long_name": label}
+            data[name] = (outer, np.asarray(getattr(self, name)), labelled)
+        coordinates: dict[str, Any] = {
+            name: (name, values, axis_description(name)) for name, values in self.axes.items()
+        }
+        directions = described_as("direction")
+        coordinates["direction"] = ("direction", list(self.directions), directions)
         frequencies = np.asarray(self.frequencies)
         coordinates[self.axis] = (self.axis, frequencies, described(self.axis))
         return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))

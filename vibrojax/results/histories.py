@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import ArrayLike
 
-from vibrojax._checks import nearest
+from vibrojax._checks import check_count, nearest
 from vibrojax.results.history import History
+from vibrojax.results.variables import axis_description, described_as
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.figure import Figure
 
     from vibrojax.results.cycles import Cycles
 
@@ -75,6 +78,22 @@ class Histories(eqx.Module):
 
         return cycles_of_each(self, quantity, level, threshold)
 
+    def plot(
+        self, quantity: str = "displacement", position: ArrayLike | None = None, *, most: int = 8
+    ) -> "Figure":
+        """Draw a quantity of the histories against time.
+
+        Parameters:
+            quantity, position: as for `History.quantity`.
+            most: how many are drawn at most, evenly chosen.
+
+        Raises `ValueError` for an unknown quantity, or `most` below 1.
+        """
+        from vibrojax.results.histories_plot import plot_histories
+
+        check_count("most", most)
+        return plot_histories(self, quantity, position, most)
+
     def to_xarray(self) -> "xarray.Dataset":
         """Return one dataset over the axes and what `History.to_xarray` has.
 
@@ -101,8 +120,10 @@ class Histories(eqx.Module):
             for name in first.data_vars
         }
         status = [one.attrs["status"] for one in each]
-        data["status"] = (tuple(self.axes), np.reshape(status, self.shape), {})
-        coordinates = {name: ((name,), values) for name, values in self.axes.items()}
+        data["status"] = (tuple(self.axes), np.reshape(status, self.shape), described_as("status"))
+        coordinates = {
+            name: ((name,), values, axis_description(name)) for name, values in self.axes.items()
+        }
         attributes = {k: v for k, v in first.attrs.items() if k != "status"}
         return xarray.Dataset(data, {**first.coords, **coordinates}, attrs=attributes)
 

@@ -19,6 +19,7 @@ from vibrojax.results.quantities import (
     unit_and_label,
 )
 from vibrojax.results.status import Status
+from vibrojax.results.variables import described_as
 from vibrojax.systems.base import AbstractSystem, LinearEquations, Motion
 from vibrojax.systems.impacting_beam import ImpactingBeam
 
@@ -309,8 +310,8 @@ class History(eqx.Module):
             data[name] = named(self.quantity(name), *unit_and_label(name))
         coordinates = {
             "time": ("time", np.asarray(self.time), {"units": "s", "long_name": "Time"}),
-            along: np.arange(1, self.coordinates.shape[1] + 1),
-            "stop": np.arange(1, self.contact_force.shape[1] + 1),
+            along: (along, np.arange(1, self.coordinates.shape[1] + 1), described_as(along)),
+            "stop": ("stop", np.arange(1, self.contact_force.shape[1] + 1), described_as("stop")),
         }
         attributes = {"status": Status(int(self.status)).name, "rig": repr(self.system)}
         return xarray.Dataset(data, coordinates, attrs=attributes)

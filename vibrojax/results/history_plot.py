@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from matplotlib.figure import Figure
 
+from vibrojax.results.plotting import Picture
 from vibrojax.results.quantities import QUANTITIES, check_quantity, unit_and_label
 from vibrojax.systems.impacting_beam import ImpactingBeam
 
@@ -19,7 +20,7 @@ def plot_history(history: "History", quantity: str, position: ArrayLike | None) 
     time = np.asarray(history.time)
     forces = np.asarray(history.contact_force)
     stops = forces.shape[1]
-    figure = Figure(figsize=(10, 6 if stops else 4), dpi=150, layout="constrained")
+    figure = Picture(figsize=(10, 6 if stops else 4), dpi=150, layout="constrained")
     panels = figure.subplots(2 if stops else 1, 1, sharex=True, squeeze=False)[:, 0]
     unit, label = unit_and_label(quantity)
     if position is None and isinstance(history.system, ImpactingBeam):

@@ -1,8 +1,18 @@
 """The largest Lyapunov exponent of one motion, with its error."""
 
+from typing import TYPE_CHECKING, Any
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
+
+from vibrojax._checks import is_traced
+from vibrojax._described import shown_value
+from vibrojax.results.variables import described_as
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
 
 
 class LyapunovExponent(eqx.Module):
@@ -29,7 +39,49 @@ class LyapunovExponent(eqx.Module):
         """The exponent in standard errors."""
         return self.exponent / self.standard_error
 
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return a dataset of the exponent and of its rates over `drive_period`, from 1.
+
+        Raises `ValueError` for a batch of exponents: take one.
+        """
+        import xarray
+
+        self._refuse_batch()
+        number = {"units": "1", "long_name": "Drive period, from 1"}
+        data: dict[str, Any] = {
+            "lyapunov_exponent": float(self.exponent),
+            "lyapunov_standard_error": float(self.standard_error),
+        }
+        data = {name: ((), value, described_as(name)) for name, value in data.items()}
+        data["rate"] = ("drive_period", np.asarray(self.rates), described_as("rate"))
+        periods = np.arange(1, len(self.rates) + 1)
+        return xarray.Dataset(
+            data,
+            {"drive_period": ("drive_period", periods, number)},
+            attrs={"title": "vibrojax Lyapunov exponent"},
+        )
+
+    def plot(self) -> "Figure":
+        """Draw the mean rate up to every drive period, and the exponent with two standard errors.
+
+        Raises `ValueError` for a batch of exponents: take one.
+        """
+        from vibrojax.results.lyapunov_plot import plot_lyapunov
+
+        self._refuse_batch()
+        return plot_lyapunov(self)
+
+    def _refuse_batch(self) -> None:
+        if np.ndim(self.exponent):
+            raise ValueError(
+                f"These are exponents of shape {np.shape(self.exponent)}: take one, such as "
+                "jax.tree.map(lambda a: a[0], exponents)."
+            )
+
     def __repr__(self) -> str:
+        if is_traced(self.exponent) or np.ndim(self.exponent):
+            exponents = shown_value(self.exponent, "1/s", exact=False)
+            return f"LyapunovExponent({exponents})"
         value, error = float(self.exponent), float(self.standard_error)
         if not np.isfinite(value):
             return "LyapunovExponent(the motion stopped being finite)"

@@ -1,7 +1,15 @@
 """The outcome of a resolution check."""
 
+from typing import TYPE_CHECKING
+
 import equinox as eqx
 import numpy as np
+
+from vibrojax.results.variables import described_as
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
 
 
 class ResolutionCheck(eqx.Module):
@@ -30,6 +38,32 @@ class ResolutionCheck(eqx.Module):
         """Largest relative change of all; NaN when a number came or went."""
         changes = [c for numbers in self.relative.values() for c in numbers.values()]
         return float(np.max(changes)) if changes else 0.0
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return a dataset of the relative changes over `refinement` and `number`."""
+        import xarray
+
+        relative = self.relative
+        names = list(dict.fromkeys(n for numbers in relative.values() for n in numbers))
+        changes = [[numbers.get(n, np.nan) for n in names] for numbers in relative.values()]
+        table = np.reshape(np.array(changes, float), (len(relative), len(names)))
+        data = {
+            "relative_change": (("refinement", "number"), table, described_as("relative_change"))
+        }
+        coordinates = {
+            "refinement": ("refinement", list(relative), {"long_name": "What was refined"}),
+            "number": ("number", names, {"long_name": "Number of the result"}),
+        }
+        return xarray.Dataset(data, coordinates, attrs={"title": "vibrojax resolution check"})
+
+    def plot(self) -> "Figure":
+        """Draw the relative change of every number, by what was refined.
+
+        Raises `ValueError` when nothing was varied.
+        """
+        from vibrojax.results.resolution_plot import plot_resolution
+
+        return plot_resolution(self)
 
     def __repr__(self) -> str:
         lines = ["ResolutionCheck (relative change)"]

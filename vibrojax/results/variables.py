@@ -64,6 +64,21 @@ VARIABLES = {
     "largest_lyapunov_exponent": Variable("1/s", "Largest Lyapunov exponent of the curve"),
     "largest_strain_power": Variable("W", "Largest RMS rate of strain energy of the curve"),
     "status": Variable("1", "How the lane ended"),
+    "beta": Variable("1", "Frequency parameter beta"),
+    "modal_mass": Variable("kg", "Modal mass"),
+    "participation": Variable("1", "Participation of the motion of the base"),
+    "shape": Variable("1", "Mode shape, mass-normalised"),
+    "place": Variable("1", "Place along the beam x/length"),
+    "mode": Variable("1", "Mode, from 1"),
+    "coordinate": Variable("1", "Coordinate, from 1"),
+    "attractor_number": Variable("1", "Attractor, from 1"),
+    "direction": Variable("1", "Direction of the sweep"),
+    "stop": Variable("1", "Stop, from 1"),
+    "initial_state": Variable("m, m/s", "Modal displacements, then velocities, at phase 0"),
+    "start_state": Variable("m, m/s", "State from which the search marched"),
+    "leads_to": Variable("1", "Motion a start leads to, from 1 (0: no period, -1: diverged)"),
+    "rate": Variable("1/s", "Rate at which neighbours part, by drive period"),
+    "relative_change": Variable("1", "Largest relative change when computed more finely"),
     "periods_marched": Variable("1", "Drive periods marched to settle"),
     "steps": Variable("1", "Steps taken to settle and measure"),
     "peak_amplitude_ratio": Variable("ratio", "Peak amplitude ratio"),
@@ -90,6 +105,38 @@ VARIABLES = {
     "frequency": Variable("Hz", "Drive frequency"),
     "frequency_ratio": Variable("1", "Drive frequency over first natural frequency"),
 }
+
+
+def described_as(name: str, ratio_units: str = "1") -> dict[str, str]:
+    """Return unit and long name of a variable as the attributes that xarray shows."""
+    units, long_name = VARIABLES[name]
+    return {"units": ratio_units if units == "ratio" else units, "long_name": long_name}
+
+
+def axis_unit(axis: str) -> str:
+    """Return the unit of a parameter; 1 for names that only the user's function knows."""
+    return VARIABLES[axis].units if axis in VARIABLES else PARAMETER_UNITS.get(axis, "1")
+
+
+def axis_description(axis: str) -> dict[str, str]:
+    """Return unit and long name of a parameter."""
+    known = VARIABLES[axis].long_name if axis in VARIABLES else axis.replace("_", " ").capitalize()
+    return {"units": axis_unit(axis), "long_name": known}
+
+
+PARAMETER_UNITS = {
+    "gap": "m",
+    "stiffness": "N/m",
+    "damping": "N s/m",
+    "base_amplitude": "m",
+    "length": "m",
+    "width": "m",
+    "thickness": "m",
+    "youngs_modulus": "Pa",
+    "density": "kg/m3",
+}
+"""Units of the numbers of the default rig; other names are taken as given by the user."""
+
 
 STATISTICS = {"max": "largest size", "mean": "mean", "rms": "RMS"}
 """Endings of the names of statistics of an observable, in words."""

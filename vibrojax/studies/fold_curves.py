@@ -83,7 +83,7 @@ def fold_curves(
     range_of: dict[str, Any] = {axis: swept}
     branch = continue_response(make(begin), **range_of)
     assert isinstance(branch, Branch)
-    tracer = _Tracer(make, axis, swept, along.low, along.high, max_points)
+    tracer = _Tracer(make, along.name, axis, swept, along.low, along.high, max_points)
     curves = []
     for point in branch.special_points:
         if point.kind != "fold" or point.initial_state is None:
@@ -97,8 +97,8 @@ def fold_curves(
 class _Tracer:
     """Follows one fold at a time; knows how to make the system and to trace a branch of it."""
 
-    def __init__(self, make, axis, swept, low, high, max_points):
-        self.make, self.axis, self.swept = make, axis, swept
+    def __init__(self, make, parameter, axis, swept, low, high, max_points):
+        self.make, self.parameter, self.axis, self.swept = make, parameter, axis, swept
         self.low, self.high, self.max_points = low, high, max_points
 
     def both_ways(self, begin: float, first: Fold, turn: int) -> FoldCurve:
@@ -111,6 +111,9 @@ class _Tracer:
             amplitude_ratio=np.array([float(f.amplitude_ratio) for _, f in points]),
             contact_force=np.array([float(f.contact_force) for _, f in points]),
             endings=(why_down, why_up),
+            parameter=self.parameter,
+            axis=self.axis,
+            ratio_units=str(self.make(begin).drive.reference[1]),
         )
 
     def follow(self, begin: float, first: Fold, way: int, turn: int):

@@ -4,9 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax.results.branch import axis_description, axis_unit
 from vibrojax.results.regime_kinds import Regime
-from vibrojax.results.variables import described_statistic
+from vibrojax.results.variables import axis_description, axis_unit, described_statistic
 from vibrojax.studies.maps.dimensions import Dimension
 from vibrojax.studies.maps.measures import PLACED, PLACES, STEPWISE, Measure
 from vibrojax.studies.maps.responses import WHOLE, AbstractMapResponse, Grid

@@ -1,0 +1,39 @@
+"""Picture of a resolution check."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from vibrojax.results.plotting import LABEL, SMALL, new_picture, outside_legend
+
+if TYPE_CHECKING:
+    from vibrojax.results.resolution import ResolutionCheck
+
+STYLES = (("o", "#0060a8"), ("^", "#d1590a"), ("s", "#2a7f3f"), ("D", "#7a3f8f"))
+LEAST = 1e-16
+"""Where changes of exactly zero are drawn."""
+
+
+def plot_resolution(check: "ResolutionCheck") -> Figure:
+    """Draw the relative change of every number, one marker for every refinement.
+
+    Raises `ValueError` when nothing was varied.
+    """
+    if not check.moved:
+        raise ValueError("Nothing was varied: there is nothing to draw.")
+    figure, axes = new_picture()
+    relative = check.relative
+    names = list(dict.fromkeys(n for numbers in relative.values() for n in numbers))
+    for k, (what, numbers) in enumerate(relative.items()):
+        marker, color = STYLES[k % len(STYLES)]
+        changes = [max(numbers.get(n, np.nan), LEAST) for n in names]
+        places = np.arange(len(names)) + 0.12 * (k - (len(relative) - 1) / 2)
+        axes.plot(changes, places, marker, color=color, markersize=9, label=what)
+    axes.set_xscale("log")
+    axes.set_yticks(range(len(names)), [n.replace("_", " ") for n in names], fontsize=SMALL)
+    axes.invert_yaxis()
+    axes.set_xlabel(f"Relative change when computed more finely ({LEAST:g}: none)", fontsize=LABEL)
+    lines, labels = axes.get_legend_handles_labels()
+    outside_legend(axes, lines, labels)
+    return figure
