@@ -61,6 +61,34 @@ REFERENCES = {
 }
 """Tables of docs/validation.json in the order of the page: title, and where they come from."""
 
+RELATIVE = "largest relative difference of"
+SHORT = {
+    "modes": {
+        f"{RELATIVE} 8 betas": "beta, relative",
+        "of 8 shapes at 5 places, over the largest value": "shapes",
+    },
+    "modes_12": {f"{RELATIVE} 12 betas": "beta, relative"},
+    "sweeps": {f"{RELATIVE} amplitude": "amplitude, relative", "of contact force": "force"},
+    "folds": {
+        "jump up, relative difference": "jump up, relative",
+        "jump down, relative difference": "jump down",
+    },
+    "single_contact": {
+        f"{RELATIVE} amplitude": "amplitude, relative",
+        "of contact force": "force",
+        "largest difference of leading multiplier": "multiplier",
+    },
+    "gradients": {"relative difference": "relative"},
+    "soft_support": {
+        "times of the first contact, difference (s)": "contact times (s)",
+        "peak force, relative difference": "peak force, relative",
+        "peak acceleration, relative difference": "peak acceleration",
+    },
+    "pendulum": {"largest difference": "trajectory with impacts (rad)"},
+    "conservation": {"largest difference over 0.2 s": "angles (rad)"},
+}
+"""Columns of those tables whose largest entry begins the page, and what they are called there."""
+
 HEAD = """# Validation
 
 Every table and every paper that vibrojax was checked against, beside what vibrojax finds. The
@@ -74,26 +102,52 @@ experiment says how that was found.
 
 def page() -> str:
     """Return the page as Markdown."""
-    parts = [HEAD, *_papers(), *_references(), *_programs()]
+    parts = [HEAD, *_in_short(), *_papers(), *_references(), *_programs()]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
-def _number(value):
+def _in_short():
+    """Return a table of the largest differences from the references."""
+    recorded = json.loads((ROOT / "docs" / "validation.json").read_text())["tables"]
+    rows = []
+    for name, columns in SHORT.items():
+        table = recorded[name]["rows"]
+        largest = (
+            f"{words} {max(row[column] for row in table if row[column] is not None):.0e}"
+            for column, words in columns.items()
+        )
+        title = REFERENCES[name][0]
+        rows.append(
+            {
+                "reference": f"[{title}](#{_anchor(title)})",
+                "cases": len(table),
+                "largest difference": "; ".join(largest),
+            }
+        )
+    return ["## In short", _table(rows)]
+
+
+def _anchor(title):
+    return "-".join("".join(c for c in title.lower() if c.isalnum() or c in " -").split())
+
+
+def _number(value, rough):
     if value is None or value == "":
         return ""
     if isinstance(value, bool | str):
         return str(value)
     if isinstance(value, int) or (float(value).is_integer() and abs(value) < 1e6):
         return str(int(value))
-    return f"{value:.1e}" if abs(value) < 1e-3 or abs(value) >= 1e7 else f"{value:.9g}"
+    return f"{value:.1e}" if rough else f"{value:.9g}"
 
 
 def _table(rows, columns=None):
     columns = columns or list(rows[0])
+    rough = [name.startswith("of ") or "difference" in name for name in columns]
     lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     for row in rows:
-        cells = (_number(row.get(column)).replace("|", "\\|") for column in columns)
-        lines.append("| " + " | ".join(cells) + " |")
+        cells = (_number(row.get(c), r) for c, r in zip(columns, rough, strict=True))
+        lines.append("| " + " | ".join(cells).replace("\n", " ") + " |")
     return "\n".join(lines)
 
 
@@ -227,9 +281,9 @@ def _coverage():
                     "truth": f"stiffness 5500, {truth}",
                     "of": name,
                     "truth inside the interval": f"{found['inside']} of {case['summary']['draws']}",
-                    "mean of estimates minus truth": found["bias"],
-                    "its standard error": found["bias_deviation"],
-                    "mean half width": found["mean_half_width"],
+                    "mean of estimates minus truth": f"{found['bias']:.3g}",
+                    "its standard error": f"{found['bias_deviation']:.3g}",
+                    "mean half width": f"{found['mean_half_width']:.3g}",
                 }
             )
     return _table(rows)

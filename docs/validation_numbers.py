@@ -226,6 +226,8 @@ def soft_support():
         if case["contacts"]:
             ours = (contacts.touch[0], contacts.departure[0])
             first = float(np.abs(np.subtract(ours, case["first_contact"])).max())
+        force = float(history.peak("contact_force").value)
+        acceleration = abs(float(history.peak("acceleration").value)) / p["g"]
         rows.append(
             {
                 "release (mm)": 1e3 * case["x0"],
@@ -235,10 +237,13 @@ def soft_support():
                 "contacts, vibrojax": len(contacts),
                 "times of the first contact, difference (s)": first,
                 "peak force, reference (N)": case["peak_force"],
-                "peak force, vibrojax (N)": float(history.peak("contact_force").value),
+                "peak force, vibrojax (N)": force,
+                "peak force, relative difference": relative(force, case["peak_force"], 1e-9),
                 "peak acceleration, reference (g)": case["peak_acc_g"],
-                "peak acceleration, vibrojax (g)": abs(float(history.peak("acceleration").value))
-                / p["g"],
+                "peak acceleration, vibrojax (g)": acceleration,
+                "peak acceleration, relative difference": relative(
+                    acceleration, case["peak_acc_g"]
+                ),
             }
         )
     return rows
