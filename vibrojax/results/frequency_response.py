@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from vibrojax.results.saving import save_dataset
 from vibrojax.results.status import Status
-from vibrojax.results.variables import VARIABLES, axis_description
+from vibrojax.results.variables import VARIABLES, axis_description, described_as
 
 if TYPE_CHECKING:
     import xarray
