@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "vibrojax"
 PHYSICS = ("beam", "modes", "contact", "contact_laws", "drive")
 FLOORS = (
     {
-        "shell": ("cli, rig_file, explore", "what people call: commands, rig files, the explorer"),
+        "shell": ("cli, rig_file, explorer/", "what people call: commands, rig files, sliders"),
     },
     {
         "studies": ("studies/", "many lanes: sweeps, branches, maps, fits, regimes"),

@@ -19,6 +19,10 @@ import numpy as np
 import vibrojax as vj
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+
+from finite_element_beam import FiniteElementBeam  # noqa: E402
+
 RESULT = Path(__file__).with_name("validation.json")
 DIRECTIONS = ("forward", "backward")
 NEAR_A_JUMP = 5e-3
@@ -101,6 +105,46 @@ def modes_12():
             }
         )
     return rows
+
+
+def in_contact():
+    """Compare the first frequency of the beam fixed to the spring of its stop."""
+    rows = []
+    for taper, mass_ratio in ((0.0, 0.5), (0.5, 0.5), (0.5, 5.0)):
+        beam = beam_of(taper, mass_ratio)
+        stop = vj.default_rig().stops[0]
+        spring = stop.law.stiffness * beam.length**3 / (beam.youngs_modulus * beam.root_inertia)
+        elements = 40
+        whole = FiniteElementBeam(taper, mass_ratio, 3 * elements + 1, elements)
+        wanted = _first_frequency(
+            whole.beta, whole.shape(np.array([stop.position]))[0], 1.0, spring
+        )
+        row = {"taper": taper, "mass ratio": mass_ratio, "finite elements (Hz)": None}
+        scale = float(beam.frequency_scale) / (2 * np.pi)
+        row["finite elements (Hz)"] = wanted * scale
+        for words, num_modes, formulation in (
+            ("consistent, 5 modes", 5, "consistent"),
+            ("consistent, 1 mode", 1, "consistent"),
+            ("as printed, 5 modes", 5, "as_printed"),
+            ("as printed, 12 modes", 12, "as_printed"),
+        ):
+            found = vj.modes(beam, num_modes, formulation)
+            ours = _first_frequency(
+                np.asarray(found.beta),
+                np.asarray(found.shape(stop.position)),
+                np.asarray(found.modal_mass) / float(beam.reference_mass),
+                spring,
+            )
+            row[f"{words} (Hz)"] = ours * scale
+            row[f"{words}: difference"] = f"{ours / wanted - 1:+.2%}"
+        rows.append(row)
+    return rows
+
+
+def _first_frequency(beta, shape, modal_mass, spring):
+    """Return beta^2 of the lowest mode with a spring at the stop."""
+    stiffness = np.diag(beta**4) + spring * np.outer(shape / modal_mass, shape)
+    return np.sqrt(np.linalg.eigvals(stiffness).real.min())
 
 
 def sweeps():
@@ -419,6 +463,7 @@ TABLES = {
     for maker in (
         modes,
         modes_12,
+        in_contact,
         sweeps,
         folds,
         single_contact,

@@ -108,8 +108,6 @@ def test_code_runs_as_printed(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names, text = {"__name__": "page"}, page.read_text()
     for block in BLOCK.finditer(text):
-        if "vj.explore" in block[1] and not hasattr(vj, "explore"):
-            pytest.skip("vj.explore is still to come")
         lines_above = "\n" * (text[: block.start()].count("\n") + 1)
         exec(compile(lines_above + block[1], name_of(page), "exec"), names)
         pictures = re.findall(r"savefig\(\"(\w+\.png)\"\)", block[1])
