@@ -118,7 +118,11 @@ class Stop(eqx.Module):
         rate: Float[Array, "..."],
         memory: Float[Array, "..."] | None = None,
     ) -> Float[Array, "..."]:
-        """Return the contact force with its corner kept, N."""
+        """Return the contact force with its corner kept, N.
+
+        `penetration` (m, positive in contact) and `rate` (m/s) are arrays of one shape.
+        Without `memory` a law that has one was at rest before.
+        """
         touching = penetration > 0
         depth, speed = jnp.maximum(penetration, 0.0), jnp.where(touching, rate, 0.0)
         return jnp.where(touching, self._law_force(depth, speed, memory), 0.0)
@@ -134,7 +138,11 @@ class Stop(eqx.Module):
         rate: Float[Array, "..."],
         memory: Float[Array, "..."],
     ) -> Float[Array, "..."]:
-        """Return how fast the memory of the law changes, for any penetration (m), per s."""
+        """Return how fast the memory of the law changes, for any penetration (m), per s.
+
+        `rate` is that of the penetration (m/s), `memory` the state of the law. For laws
+        with memory only: another raises `AssertionError`.
+        """
         assert isinstance(self.law, AbstractMemoryLaw)
         width = self.width
         engaged = smooth_switch(penetration, width)
@@ -143,7 +151,10 @@ class Stop(eqx.Module):
     def stored_energy(
         self, penetration: Float[Array, "..."], memory: Float[Array, "..."] | None = None
     ) -> Float[Array, "..."]:
-        """Return the energy that the stop could give back, J, its corner kept."""
+        """Return the energy that the stop could give back, J, its corner kept.
+
+        `penetration` in m; without its `memory` a law that has one was at rest before.
+        """
         return stored_energy(self.law, jnp.maximum(penetration, 0.0), memory)
 
     def __repr__(self) -> str:

@@ -65,7 +65,11 @@ class AbstractMemoryLaw(AbstractContactLaw):
         rate: Float[Array, "..."],
         memory: Float[Array, "..."],
     ) -> Float[Array, "..."]:
-        """Return the force that resists penetration, N, positive when it pushes the body off."""
+        """Return the force that resists penetration, N, positive when it pushes the body off.
+
+        `penetration` (m) is at least 0, `rate` (m/s) its derivative; `memory` is the
+        internal state of the law, in its unit.
+        """
 
     @abstractmethod
     def memory_rate(
@@ -74,13 +78,21 @@ class AbstractMemoryLaw(AbstractContactLaw):
         rate: Float[Array, "..."],
         memory: Float[Array, "..."],
     ) -> Float[Array, "..."]:
-        """Return the rate of change of the memory, its unit per s."""
+        """Return the rate of change of the memory, its unit per s.
+
+        `penetration` (m) is at least 0, `rate` (m/s) its derivative; `memory` is the
+        internal state of the law, in its unit.
+        """
 
     @abstractmethod
     def stored_energy_with_memory(
         self, penetration: Float[Array, "..."], memory: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        """Return the energy that the stop could give back, J."""
+        """Return the energy that the stop could give back, J.
+
+        `penetration` (m) is at least 0; `memory` is the internal state of the law, in its
+        unit.
+        """
 
     def force(
         self, penetration: Float[Array, "..."], rate: Float[Array, "..."]

@@ -112,7 +112,10 @@ class AbstractDrive(eqx.Module):
         """Amplitude by which responses are divided, and the unit of a displacement over it."""
 
     def input(self, waveform: AbstractWaveform, time: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return the input at `time` (s): base acceleration with its sign changed, or force."""
+        """Return the input at `time` (s): base acceleration with its sign changed, or force.
+
+        `waveform` gives the phase at any time.
+        """
         phase, rate, second = waveform.phase(time)
         amplitude = self.complex_amplitude(rate, second)
         return amplitude.real * jnp.sin(phase) + amplitude.imag * jnp.cos(phase)

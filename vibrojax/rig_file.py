@@ -65,6 +65,8 @@ def read_rig(path: str | os.PathLike[str]) -> tuple[ImpactingBeam, dict[str, Any
     Raises `ValueError`, naming the file and the key, when the file cannot be read or is not TOML,
     a table or key is unknown or missing, or a value is of the wrong kind or not possible.
     (`frequency_sweep` itself checks max_period, max_periods and refine_jumps.)
+
+    `path` is that of the TOML file.
     """
     tables = _load(path)
     try:

@@ -98,6 +98,7 @@ class MeasuredCurve:
     frequency_name: str
     """`frequency_ratio`, or `frequency` in Hz."""
     amplitude: np.ndarray | None = None
+    """Response, at least 0: over the drive amplitude, or in m, m/s or m/s2; None: not measured."""
     amplitude_deviation: np.ndarray | None = None
     """Standard deviations, in the unit of the amplitude; None: not known."""
     contact_force: np.ndarray | None = None
@@ -117,6 +118,7 @@ class MeasuredCurve:
     parameters: dict[str, float] = field(default_factory=dict)
     """Arguments of the user's rig function that hold for this curve."""
     label: str = ""
+    """Name shown in pictures and messages, such as that of the file."""
     notes: tuple[str, ...] = ()
     """What was guessed or left out on the way."""
     lines: np.ndarray = field(default_factory=lambda: np.zeros(0, int))

@@ -97,6 +97,7 @@ class MeasuredHistory:
     parameters: dict[str, float] = field(default_factory=dict)
     """Arguments of the user's rig function that hold for this history."""
     label: str = ""
+    """Name shown in pictures and messages, such as that of the file."""
     notes: tuple[str, ...] = ()
     """What was assumed or left out on the way."""
 
@@ -260,7 +261,19 @@ def read_measured_history(
 
     `source`, `columns`, `units` and `skip_unusable` are as for `read_measured_curve`, for the
     columns `time`, `displacement`, `velocity`, `acceleration` and `contact_force`; time is in s
-    where nothing says otherwise. The other arguments are fields of `MeasuredHistory`.
+    where nothing says otherwise.
+
+    Parameters:
+        deviation: standard deviations by channel, in SI units; the others are estimated.
+        frequency: drive frequency, Hz.
+        frequency_ratio: instead, drive frequency over the first natural one.
+        release: displacement of the tip (m) from which the beam is let go at rest.
+        position: place x/L of the sensor; None: the tip.
+        frame: `relative` to the moving base, or `absolute`; None: relative.
+        window: start and end (s) of the samples that count; None: all.
+        align_phase: whether an unknown constant may shift the time axis.
+        settled: whether the motion is steady.
+        parameters: arguments of the rig function that hold for this history.
 
     Raises `ValueError` when the source cannot be read, a column or unit is missing, ambiguous or
     unknown, or what is read is not a measured history.

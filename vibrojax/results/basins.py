@@ -98,6 +98,7 @@ class Basins(eqx.Module):
     units: dict[str, str] = eqx.field(static=True)
     """Of the two numbers, by name; empty where they were not told."""
     attributes: dict[str, str] = eqx.field(static=True)
+    """What was run: rig, settings, versions."""
 
     @property
     def count(self) -> int:
@@ -211,7 +212,10 @@ class Basins(eqx.Module):
         return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file, whole or not at all."""
+        """Write the dataset to a NetCDF file, whole or not at all.
+
+        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        """
         save_dataset(self.to_xarray(), path)
 
     def place_of(self, selection: dict[str, Any]) -> tuple[tuple[int, ...], dict[str, float]]:

@@ -45,13 +45,19 @@ class BifurcationDiagram(AbstractRegimeTable):
     parameter: str = eqx.field(static=True)
     """Name of what changes: `frequency` (Hz), `frequency_ratio`, or an argument of the function."""
     values: Float[Array, " values"]
+    """Values of the parameter, ascending, in its unit."""
     directions: tuple[str, ...] = eqx.field(static=True)
+    """Directions followed: `forward`, `backward`."""
     axes: dict[str, Array]
     """The other axes of the call, by name."""
     variables: dict[str, Array]
+    """Variables by name, over the dimensions `dims` (and `strobe`, `order`)."""
     orders: Float[Array, " orders"] | None
+    """Frequencies of the spectrum over the drive frequency; None where there is none."""
     ratio_units: str = eqx.field(static=True)
+    """Unit of the ratios: `1` for base motion, `m/N` for a force."""
     attributes: dict[str, str] = eqx.field(static=True)
+    """What was run: rig, settings, versions."""
 
     @property
     def coordinates(self) -> dict[str, Array]:
@@ -82,7 +88,11 @@ class BifurcationDiagram(AbstractRegimeTable):
         return found
 
     def period_doublings(self, **selection: Any) -> list[PeriodChange]:
-        """Return the brackets in which the period doubles or halves; see `period_changes`."""
+        """Return the brackets in which the period doubles or halves; see `period_changes`.
+
+        `selection` picks a value of each other axis, as there. Raises `ValueError` for an
+        unknown axis.
+        """
         return [change for change in self.period_changes(**selection) if change.is_doubling]
 
     def to_xarray(self) -> "xarray.Dataset":
@@ -92,7 +102,10 @@ class BifurcationDiagram(AbstractRegimeTable):
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file, whole or not at all."""
+        """Write the dataset to a NetCDF file, whole or not at all.
+
+        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        """
         save_dataset(self.to_xarray(), path)
 
     def plot(self, **selection: Any) -> "Figure":

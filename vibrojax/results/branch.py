@@ -34,9 +34,11 @@ class SpecialPoint(eqx.Module):
     """A fold, period doubling, Neimark-Sacker point or first touch, refined."""
 
     kind: str = eqx.field(static=True)
+    """`fold`, `period_doubling`, `neimark_sacker` or `grazing` (a first touch)."""
     parameter: float
     """In the unit that was asked for."""
     amplitude_ratio: float
+    """Half peak-to-peak displacement over drive amplitude."""
     contact_force: float
     """N."""
     initial_state: Float[np.ndarray, " states"] | None
@@ -68,13 +70,21 @@ class Branch(eqx.Module):
     arclength: Float[np.ndarray, " points"]
     """Way along the branch: change of the motion over its size, and of the parameter."""
     amplitude_ratio: Float[np.ndarray, " points"]
+    """Half peak-to-peak displacement over drive amplitude."""
     peak_ratio: Float[np.ndarray, " points"]
+    """Largest displacement, either side, over drive amplitude."""
     rms_ratio: Float[np.ndarray, " points"]
+    """RMS displacement, the mean included, over drive amplitude."""
     first_harmonic_ratio: Float[np.ndarray, " points"]
+    """Amplitude at the drive frequency over drive amplitude."""
     contact_force: Float[np.ndarray, " points"]
+    """Largest contact force, N."""
     contact_fraction: Float[np.ndarray, " points"]
+    """Share of the time in contact, 0 to 1."""
     contacts_per_period: Float[np.ndarray, " points"]
+    """Contacts per drive period."""
     floquet_multipliers: Complex[np.ndarray, "points states"]
+    """Eigenvalues of the Jacobian of the map over `period` drive periods."""
     residual: Float[np.ndarray, " points"]
     """Relative residual of the motion: of its exact equations, or of the balance on a grid four
     times finer."""
@@ -95,6 +105,7 @@ class Branch(eqx.Module):
     exact_points: Bool[np.ndarray, " points"]
     """Which points are exact; the others are harmonic balance."""
     ratio_units: str = eqx.field(static=True)
+    """Unit of the ratios: `1` for base motion, `m/N` for a force."""
     natural_frequency: float
     """First natural frequency of the unstopped system, Hz, where the branch starts."""
     labels: dict[str, float]
@@ -102,6 +113,7 @@ class Branch(eqx.Module):
     range: tuple[float, float] = eqx.field(static=True)
     """The range that was followed."""
     attributes: dict[str, str] = eqx.field(static=True)
+    """What was run: rig, settings, versions."""
     path: "AbstractPath"
     """The system along the parameter, as one lane of a stack."""
     depth: Complex[np.ndarray, "points stops harmonics"]
@@ -231,7 +243,10 @@ class Branch(eqx.Module):
         return xarray.Dataset(data, coordinates, attrs=attributes)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file."""
+        """Write the dataset to a NetCDF file.
+
+        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        """
         self.to_xarray().to_netcdf(os.fspath(path), engine="h5netcdf")
 
     def plot(self, variable: str = "amplitude_ratio", *, sweep: Any = None) -> "Figure":
@@ -274,6 +289,7 @@ class Branches(eqx.Module):
     """The branches of a continuation over further axes: one `Branch` per combination."""
 
     axes: dict[str, np.ndarray]
+    """Values of the axes of the call, by name."""
     branches: tuple[Branch, ...]
     """In the order of the crossed axes, the last one running fastest."""
 
@@ -292,7 +308,7 @@ class Branches(eqx.Module):
         return tuple(len(v) for v in self.axes.values())
 
     def sel(self, **labels: float) -> Branch:
-        """Return the branch nearest to a value of every axis.
+        """Return the branch nearest to a value of every axis: `labels`, by name.
 
         Raises `ValueError` for an axis that is unknown or left out.
         """
@@ -335,7 +351,11 @@ class Branches(eqx.Module):
         )
 
     def plot(self, variable: str = "amplitude_ratio") -> "Figure":
-        """Draw all branches in one picture, one colour each."""
+        """Draw all branches in one picture, one colour each.
+
+        `variable` is a name of a curve, such as `contact_force`. Raises `ValueError` for
+        another, or when there is nothing to draw.
+        """
         from vibrojax.results.branch_plot import plot_branches
 
         return plot_branches(list(self.branches), variable)

@@ -68,6 +68,8 @@ class Cycles:
         """Put the cycles of several results together, histories numbered on.
 
         Raises `ValueError` for none, or for cycles of different quantities, levels or observables.
+
+        `parts` is a list of them.
         """
         parts = list(parts)
         if not parts or not all(isinstance(part, cls) for part in parts):

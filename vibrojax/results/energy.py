@@ -66,6 +66,10 @@ class EnergyFlow:
         """Return the mean share of every mode between two times (s), by default all of them.
 
         Raises `ValueError` when no sample lies between them.
+
+        Parameters:
+            start: first time, s; None: from the start of the history.
+            stop: last time, s; None: to its end.
         """
         inside = np.ones(self.time.size, bool)
         if start is not None:
@@ -107,6 +111,8 @@ class EnergyFlow:
 
         `kind` is `stacked` (shares add up to 1) or `lines` (on a logarithmic axis, which shows
         small shares).
+
+        Raises `ValueError` for another kind.
         """
         from vibrojax.results.energy_plot import plot_energy
 

@@ -48,22 +48,35 @@ class FrequencyResponse(eqx.Module):
     axis: str = eqx.field(static=True)
     """`frequency_ratio`, or `frequency` in Hz."""
     frequencies: Float[Array, " frequencies"]
+    """Drive frequencies, ascending, in the unit of the axis."""
     directions: tuple[str, ...] = eqx.field(static=True)
+    """Directions swept: `forward`, `backward`, or one of them."""
     axes: dict[str, Array]
     """The other axes of the call, by name."""
     ratio_units: str = eqx.field(static=True)
     """Unit of the ratios: `1` for base motion, `m/N` for a force."""
     amplitude_ratio: Float[Array, "..."]
+    """Half peak-to-peak displacement over drive amplitude."""
     peak_ratio: Float[Array, "..."]
+    """Largest displacement, either side, over drive amplitude."""
     rms_ratio: Float[Array, "..."]
+    """RMS displacement, the mean included, over drive amplitude."""
     first_harmonic_ratio: Float[Array, "..."]
+    """Amplitude at the drive frequency over drive amplitude."""
     contact_force: Float[Array, "..."]
+    """Largest contact force, N."""
     contact_fraction: Float[Array, "..."]
+    """Share of the time in contact, 0 to 1."""
     contacts_per_period: Float[Array, "..."]
+    """Contacts per drive period."""
     period: Int[Array, "..."]
+    """Drive periods after which the motion repeats; 0 where none was found."""
     status: Int[Array, "..."]
+    """Values of `Status`: how each point ended."""
     periods_marched: Int[Array, "..."]
+    """Drive periods marched to settle."""
     steps: Int[Array, "..."]
+    """Steps taken to settle and measure."""
     natural_frequency: float | Float[Array, "..."]
     """First natural frequency of the unstopped system, Hz, over the axes of the call."""
     jump_up: float | Float[Array, "..."]
@@ -172,7 +185,10 @@ class FrequencyResponse(eqx.Module):
         return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file, whole or not at all."""
+        """Write the dataset to a NetCDF file, whole or not at all.
+
+        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        """
         save_dataset(self.to_xarray(), path)
 
     def plot(self, variable: str = "amplitude_ratio", **selection: Any) -> "Figure":

@@ -51,6 +51,8 @@ class Histories(eqx.Module):
         """Return the history nearest to a value of every axis.
 
         Raises `ValueError` for an unknown axis, or one without a value.
+
+        `values` are numbers by name of the axes.
         """
         for name in values:
             if name not in self.axes:
@@ -73,6 +75,8 @@ class Histories(eqx.Module):
 
         Histories that diverged are left out and counted. Raises `ValueError` as that does, or where
         all of them diverged.
+
+        `quantity`, `level` and `threshold` are those of `History.cycles`.
         """
         from vibrojax.results.cycles import cycles_of_each
 

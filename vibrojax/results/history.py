@@ -38,7 +38,9 @@ class History(eqx.Module):
     """Motion of one lane at equal intervals; displacements are relative to the base."""
 
     system: AbstractSystem
+    """What moves."""
     motion: Motion
+    """Its equations with drive and waveform: the `args` of a solver."""
     time: Float[Array, " samples"]
     """s."""
     coordinates: Float[Array, "samples coordinates"]
@@ -64,7 +66,15 @@ class History(eqx.Module):
         states: Float[Array, "samples states"],
         result: diffrax.RESULTS,
     ) -> "History":
-        """Read everything off the states of an integration."""
+        """Read everything off the states of an integration.
+
+        Parameters:
+            system: what moves.
+            motion: its equations, drive and waveform.
+            time: when the states are known, s.
+            states: (q, q', memories) at these times.
+            result: how diffrax ended.
+        """
         q, v, memory = (part.T for part in motion.equations.split(states.T))
         equations = motion.sharp_equations()
 
@@ -91,11 +101,17 @@ class History(eqx.Module):
         """Displacement relative to the base at s = x/L of a beam, m.
 
         Without a position, here and below: what a frequency response reports, the tip of a beam.
+
+        Raises `ValueError` for a `position` where the system has none, or outside [0, 1].
         """
         return displacement_of(self, position)[0]
 
     def velocity(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
-        """Velocity relative to the base at s = x/L, m/s."""
+        """Velocity relative to the base at s = x/L, m/s.
+
+        `position` is as for `displacement`. Raises `ValueError` where there is no such
+        place.
+        """
         return displacement_of(self, position)[1]
 
     def acceleration(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
@@ -103,6 +119,9 @@ class History(eqx.Module):
 
         With contact damping the force jumps at touch, and the peak of the acceleration does not
         converge with the number of modes.
+
+        `position` is as for `displacement`. Raises `ValueError` where there is no such
+        place.
         """
         return displacement_of(self, position)[2]
 
@@ -317,7 +336,11 @@ class History(eqx.Module):
         return xarray.Dataset(data, coordinates, attrs=attributes)
 
     def plot(self, quantity: str = "displacement", position: ArrayLike | None = None) -> "Figure":
-        """Draw a quantity and the contact force against time."""
+        """Draw a quantity and the contact force against time.
+
+        `quantity` and `position` are those of `History.quantity`. Raises `ValueError` for
+        an unknown quantity, or a position where there is none.
+        """
         from vibrojax.results.history_plot import plot_history
 
         return plot_history(self, quantity, position)

@@ -52,20 +52,27 @@ class Identification:
     """What `identify` found. Dictionaries are by name of the number that was fitted."""
 
     estimate: dict[str, float]
+    """Best value, in the unit of the argument of the rig function."""
     interval: dict[str, tuple[float, float]]
     """Confidence intervals (95 % unless asked otherwise); one-sided where data only bound."""
     identifiability: dict[str, str]
     """`identifiable`, or what the data can and cannot say."""
     identifiable: dict[str, bool]
+    """Whether the data tell the number; `identifiability` says why not."""
     standard_deviation: dict[str, float]
     """To first order; infinite for what the data do not know."""
     covariance: np.ndarray
     """In the coordinates of the search (`coordinates` says which): unknowns by unknowns."""
     correlation: np.ndarray
+    """Correlation of the estimates, unknowns by unknowns."""
     chi_square: float
+    """Sum of the squared residuals, each over its standard deviation."""
     degrees_of_freedom: int
+    """Values measured less numbers fitted."""
     confidence: float
+    """Probability of the intervals, such as 0.95."""
     measured: "tuple[MeasuredCurve | MeasuredHistory, ...]"
+    """What was fitted, in the order given."""
     predictions: tuple[Prediction, ...]
     """One for every measurement."""
     influence: tuple[np.ndarray, ...]
@@ -73,14 +80,19 @@ class Identification:
     alternatives: tuple[Alternative, ...]
     """Other minima that were found, the best first."""
     warnings: tuple[str, ...]
+    """What to know before believing the numbers, a sentence each."""
     notes: tuple[str, ...]
     """What was assumed or guessed."""
     evaluations: int
     """Response curves (of all measurements) that were followed."""
     asked: Any
+    """What `identify` was asked for; with it the rig is made again."""
     problem: Any
+    """The least squares that were solved, in the coordinates of the search."""
     repetition: int
+    """Number of this fit in `identify_each`, from 0."""
     frequency_scale: float
+    """Scale of frequency differences, as a share of the first natural frequency."""
     point: np.ndarray
     """The estimate in the coordinates of the search."""
 
@@ -100,7 +112,15 @@ class Identification:
         return {c.name: c.kind for c in self.problem.coordinates}
 
     def residuals(self, direction: str | None = None, measurement: int = 0) -> np.ndarray:
-        """Residuals of one measurement; of a curve, of the `forward` or `backward` sweep only."""
+        """Residuals of one measurement; of a curve, of the `forward` or `backward` sweep only.
+
+        Shape (values of the measurement,), each over its standard deviation. Parameters:
+            direction: `forward` or `backward`; None: all.
+            measurement: from 0, in the order given.
+
+        Raises `ValueError` for another direction, `IndexError` for a measurement that is
+        not there.
+        """
         values = self.predictions[measurement].residual
         if direction is None:
             return values
@@ -111,7 +131,11 @@ class Identification:
         return values[measured.direction == ways[direction]]
 
     def system(self, measurement: int = 0) -> Any:
-        """Return the fitted rig."""
+        """Return the fitted rig.
+
+        With the arguments that hold for one `measurement` (from 0). Raises `IndexError`
+        when there is none.
+        """
         from vibrojax.studies.identification.setting_up import own_name
 
         asked, measured = self.asked, self.measured[measurement]
@@ -120,7 +144,11 @@ class Identification:
         return asked.make(**asked.numbers, **measured.parameters, **fitted)
 
     def branch(self, measurement: int = 0) -> "Branch":
-        """Follow the fitted curve by `continue_response`: exact, with its stability."""
+        """Follow the fitted curve by `continue_response`: exact, with its stability.
+
+        `measurement` counts from 0, in the order given. Raises `IndexError` when there is
+        none, `AttributeError` for a history, which has no curve.
+        """
         from vibrojax.studies.continue_response import continue_response
 
         measured: Any = self.measured[measurement]
@@ -145,6 +173,8 @@ class Identification:
         The prior is uniform in the logarithm of what moves in log, else in the number.
 
         Raises `ImportError` without blackjax, which is optional: `pip install "vibrojax[sample]"`.
+
+        `draws` is the number of draws returned, `seed` that of the random numbers.
         """
         from vibrojax.studies.identification.sampling import sample
 
@@ -161,7 +191,11 @@ class Identification:
         return what_next(self, name, **changes)
 
     def plot(self, measurement: int = 0) -> "Figure":
-        """Draw the fitted curve over the measured points, the residuals and the estimates."""
+        """Draw the fitted curve over the measured points, the residuals and the estimates.
+
+        `measurement` counts from 0, in the order given. Raises `IndexError` when there is
+        none.
+        """
         from vibrojax.results.identification_plot import plot_identification
 
         return plot_identification(self, measurement)
@@ -251,7 +285,10 @@ class Identification:
         }
 
     def save(self, path: str | Path) -> tuple[Path, Path]:
-        """Write the report as JSON and the picture as PNG beside it; returns both paths."""
+        """Write the report as JSON and the picture as PNG beside it; returns both paths.
+
+        `path` is that of either file; its ending is exchanged.
+        """
         path = Path(path)
         data, picture = path.with_suffix(".json"), path.with_suffix(".png")
         data.write_text(json.dumps(self.report(), indent=2) + "\n")

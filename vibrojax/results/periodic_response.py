@@ -51,11 +51,15 @@ class PeriodicResponse(eqx.Module):
     peak_ratio: Float[Array, "*lanes"]
     """Largest displacement, either side, over drive amplitude."""
     rms_ratio: Float[Array, "*lanes"]
+    """RMS displacement, the mean included, over drive amplitude."""
     first_harmonic_ratio: Float[Array, "*lanes"]
+    """Amplitude at the drive frequency over drive amplitude."""
     contact_force: Float[Array, "*lanes"]
     """Largest contact force, N."""
     contact_fraction: Float[Array, "*lanes"]
+    """Share of the time in contact, 0 to 1."""
     contacts_per_period: Float[Array, "*lanes"]
+    """Contacts per drive period."""
     initial_state: Float[Array, "*lanes states"]
     """(q, q') at drive phase 0, m and m/s."""
     floquet_multipliers: Complex[Array, "*lanes states"]
@@ -73,6 +77,7 @@ class PeriodicResponse(eqx.Module):
     exact: bool = eqx.field(static=True)
     """Whether it is an exact solution between contact times."""
     ratio_units: str = eqx.field(static=True)
+    """Unit of the ratios: `1` for base motion, `m/N` for a force."""
     system: AbstractSystem
     """What moves."""
 
@@ -96,6 +101,8 @@ class PeriodicResponse(eqx.Module):
         """`none`, or how stability was lost: fold, period doubling or Neimark-Sacker.
 
         By the multiplier farthest outside the unit circle: real above 1, real below -1, or complex.
+
+        Raises `ValueError` for a batch: pick one lane.
         """
         multipliers = np.asarray(self.floquet_multipliers)
         if multipliers.ndim != 1:
@@ -123,7 +130,11 @@ class PeriodicResponse(eqx.Module):
         )
 
     def history(self, samples_per_period: int = 256) -> "History":
-        """Return the motion over its period as a time history."""
+        """Return the motion over its period as a time history.
+
+        `samples_per_period` is the number of samples in a drive period. Raises `ValueError`
+        when it is below 1.
+        """
         from vibrojax.response.simulate import simulate
 
         state = eqx.filter_eval_shape(self.system.equations).split(self.initial_state)

@@ -33,6 +33,7 @@ class PoincareSection:
     values: dict[str, Float[np.ndarray, " points"]]
     """`displacement` (m) and `velocity` (m/s), and every observable with its `..._rate`."""
     quantity: str
+    """What is drawn, or passes the level."""
     level: float | None
     """At which the quantity passes, in its unit; None: a section by the phase of the drive."""
     direction: str
@@ -68,6 +69,8 @@ class PoincareSection:
 
         Where the quantity has a given level: its rate against the phase of the drive. Raises
         `ValueError` for a variable that is not there.
+
+        `x` and `y` are names of variables of the dataset: of the abscissa and the ordinate.
         """
         from vibrojax.results.chirp_plot import plot_section
 

@@ -31,9 +31,11 @@ class Regimes(AbstractRegimeTable):
     axis: str = eqx.field(static=True)
     """`frequency_ratio`, or `frequency` in Hz."""
     frequencies: Float[Array, " frequencies"]
+    """Drive frequencies, in the unit of the axis."""
     axes: dict[str, Array]
     """The other axes, by name; the last is `start` where several starts were given."""
     variables: dict[str, Array]
+    """Variables by name, over the dimensions `dims` (and `strobe`, `order`)."""
     orders: Float[Array, " orders"] | None
     """Frequencies of the spectrum over the drive frequency; None where there is none."""
     starts: Float[Array, "starts states"]
@@ -70,7 +72,10 @@ class Regimes(AbstractRegimeTable):
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file, whole or not at all."""
+        """Write the dataset to a NetCDF file, whole or not at all.
+
+        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        """
         save_dataset(self.to_xarray(), path)
 
     def plot(self, **selection: Any) -> "Figure":

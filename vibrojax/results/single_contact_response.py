@@ -55,9 +55,11 @@ class SingleContactResponse(eqx.Module):
     """
 
     system: AbstractSystem
+    """What moves."""
     axis: str = eqx.field(static=True)
     """`frequency_ratio`, or `frequency` in Hz."""
     frequencies: Float[Array, " frequencies"]
+    """Drive frequencies, ascending, in the unit of the axis."""
     contact_fraction: Float[Array, " fractions"]
     """Share of the drive period in contact."""
     ratio_units: str = eqx.field(static=True)
@@ -69,12 +71,15 @@ class SingleContactResponse(eqx.Module):
     gap_ratio_slope: Float[Array, "fractions frequencies"]
     """Its derivative in the contact fraction; zero at folds."""
     amplitude_ratio: Float[Array, "fractions frequencies"]
+    """Half peak-to-peak displacement over drive amplitude."""
     peak_ratio: Float[Array, "fractions frequencies"]
+    """Largest displacement, either side, over drive amplitude."""
     contact_force: Float[Array, "fractions frequencies"]
     """Largest contact force at the drive amplitude of the system, N."""
     leading_multiplier: Float[Array, "fractions frequencies"]
     """Largest modulus of the Floquet multipliers."""
     stable: Bool[Array, "fractions frequencies"]
+    """Whether the motion exists and is stable."""
     valid: Bool[Array, "fractions frequencies"]
     """Whether the motion exists: it touches once, stays in until it leaves, at a gap of 0 or
     more."""
@@ -98,6 +103,8 @@ class SingleContactResponse(eqx.Module):
         In the unit of the axis, increasing. They are looked for in every cell of a finer grid and
         refined to 1e-10; those where the motion is virtual are left out.
         Raises `ValueError` for a negative gap ratio.
+
+        `gap_ratio` is gap over drive amplitude, in the unit of the gap ratios.
         """
         gap = self._gap_ratio(gap_ratio)
         surface = self._surface()
@@ -185,7 +192,10 @@ class SingleContactResponse(eqx.Module):
         return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file."""
+        """Write the dataset to a NetCDF file.
+
+        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        """
         self.to_xarray().to_netcdf(os.fspath(path), engine="h5netcdf")
 
     def plot(self, gap_ratios: Sequence[float] | None = None) -> "Figure":
@@ -194,6 +204,8 @@ class SingleContactResponse(eqx.Module):
         By default a quarter, half, once, twice and four times the gap ratio of the system, as far
         as the grid reaches. Raises `ValueError` for a negative gap ratio, or a grid of one row or
         column.
+
+        `gap_ratios` are gaps over drive amplitude.
         """
         from vibrojax.results.single_contact_plot import plot_single_contact
 

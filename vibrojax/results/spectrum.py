@@ -70,11 +70,13 @@ class Spectrum:
     amplitude: Float[np.ndarray, " frequencies"]
     """Values in the sense of `scaling`; for `peak` a sine of amplitude 1 shows as 1."""
     quantity: str
+    """What the spectrum is of."""
     units: str
     """Of the values: `g`, `g2/Hz`, ..."""
     scaling: str
     """`peak`, `rms`, `power`, `density` or `energy_density`."""
     window: str
+    """Name of the window, as `scipy.signal.get_window` knows it."""
     segment: float
     """Length of a segment, s."""
     overlap: float

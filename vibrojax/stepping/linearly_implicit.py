@@ -99,7 +99,10 @@ class LinearlyImplicit(AbstractMethod):
         )
 
     def steps(self, motion: Motion) -> int:
-        """As many as the tolerance and the damping, or the settings, ask for."""
+        """As many as the tolerance and the damping, or the settings, ask for.
+
+        Raises `ValueError` for a step that is too long for the damping.
+        """
         _, rate, _ = motion.waveform.phase(jnp.zeros(()))
         period = concrete(2 * jnp.pi / rate)
         fastest = concrete(_fastest_damping(_without_memory(motion.equations)))
@@ -114,7 +117,10 @@ class LinearlyImplicit(AbstractMethod):
         return int(chosen_steps(period, fastest, np.asarray(self.tolerance), np))
 
     def check_system(self, system: AbstractSystem) -> None:
-        """Refuse, with a `ValueError`, a system that these settings cannot step."""
+        """Refuse, with a `ValueError`, a system that these settings cannot step.
+
+        Raises `ValueError` when a step is too long for the damping of the `system`.
+        """
         if self.longest_step is not None:
             equations = _without_memory(equations_of(as_arrays(system)))
             fastest = concrete(_fastest_damping(equations))
@@ -122,7 +128,7 @@ class LinearlyImplicit(AbstractMethod):
                 self.check_ringing(self.longest_step, float(fastest))
 
     def check_ringing(self, step: float, fastest: float) -> None:
-        """Refuse, with a `ValueError`, a step (s) too long for the damping (1/s)."""
+        """Refuse, with a `ValueError`, a `step` (s) too long for the `fastest` damping (1/s)."""
         if step * fastest > RINGING * (1 + 1e-9):
             name = "longest_step" if self.longest_step is not None else "steps_per_period"
             raise ValueError(

@@ -102,13 +102,18 @@ class AbstractMethod(diffrax.AbstractSolver):
     """
 
     term_structure: ClassVar = diffrax.AbstractTerm
+    """The terms that diffrax has to give: one, of the vector field."""
     interpolation_cls: ClassVar = StateInterpolation
+    """How diffrax reads between steps."""
 
     @abstractmethod
     def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> AbstractMarch:
         """Compute what does not depend on the drive frequency, for one lane.
 
         Map it with `jax.vmap(..., out_axes=-1)` for lanes of different systems.
+
+        `equations` are those of one system, `drive` says where it is driven. Raises
+        `ValueError` for equations that the method cannot step.
         """
 
     @abstractmethod
@@ -116,6 +121,8 @@ class AbstractMethod(diffrax.AbstractSolver):
         """Return how many equal steps to take in a drive period, for diffrax.
 
         Raises `ValueError` when that hangs on numbers that JAX is tracing.
+
+        `motion` holds equations, drive and waveform.
         """
 
     @abstractmethod
@@ -127,7 +134,12 @@ class AbstractMethod(diffrax.AbstractSolver):
         state: Float[Array, " states"],
         solver_state: Any,
     ) -> Float[Array, " states"]:
-        """Return the state after a step."""
+        """Return the state after a step.
+
+        `motion` holds equations, drive and waveform; the step begins at `start` and takes
+        `duration` (s); `state` has the shape (states,); `solver_state` is what `init`
+        returned.
+        """
 
     def order(self, terms):
         """Order of convergence with smooth forces."""

@@ -125,6 +125,14 @@ def identify_each(
 
     As `identify`, with a list of what it takes as `measured`; all must have as many points. Their
     curves are followed together, which costs less than one after the other.
+
+    Parameters:
+        make_system, guess, bounds, private, numbers: as of `identify`, the same for all.
+        objective, search, transforms, starts, frequency_scales, confidence: the same.
+        repetitions: a list of what `identify` takes as `measured`.
+
+    Raises `ValueError` as `identify` does, for no repetition, or for repetitions of different
+    sizes.
     """
     check_count("starts", starts)
     check_range("confidence", confidence, 0.5, 0.9999, allowed="from 0.5 to 0.9999")

@@ -32,6 +32,7 @@ class AbstractEquations(eqx.Module):
     """
 
     stops: eqx.AbstractVar[tuple[Stop, ...]]
+    """The stops, in the order of `penetration`."""
 
     @property
     @abstractmethod
@@ -60,37 +61,58 @@ class AbstractEquations(eqx.Module):
         Float[Array, "coordinates *lanes"],
         Float[Array, "memories *lanes"],
     ]:
-        """Return q, q' and the memories of the stops."""
+        """Return q, q' and the memories of the stops.
+
+        `state` has the shape (states,) and may carry lanes as trailing axes.
+        """
         n = self.size
         return state[:n], state[n : 2 * n], state[2 * n :]
 
     @abstractmethod
     def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
-        """Return the mass matrix M(q)."""
+        """Return the mass matrix M(q).
+
+        Shape (coordinates, coordinates); `q` are the coordinates, in `coordinate_units`.
+        """
 
     @abstractmethod
     def linear_force(
         self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
     ) -> Float[Array, " coordinates"]:
-        """Return C q' + K q."""
+        """Return C q' + K q.
+
+        Shape (coordinates,); `q` are the coordinates, `rate` their velocities q'.
+        """
 
     @abstractmethod
     def smooth_force(
         self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
     ) -> Float[Array, " coordinates"]:
-        """Return f(q, q'), the smooth nonlinear force (zero for a linear system)."""
+        """Return f(q, q'), the smooth nonlinear force (zero for a linear system).
+
+        Shape (coordinates,); `q` are the coordinates, `rate` their velocities q'.
+        """
 
     @abstractmethod
     def input(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
-        """Return B(q), the generalised force of a unit input."""
+        """Return B(q), the generalised force of a unit input.
+
+        Shape (coordinates,); `q` are the coordinates.
+        """
 
     @abstractmethod
     def penetration(self, q: Float[Array, " coordinates"]) -> Float[Array, " stops"]:
-        """Return how deep the body is in each stop, m; negative out of contact."""
+        """Return how deep the body is in each stop, m; negative out of contact.
+
+        Shape (stops,); `q` are the coordinates.
+        """
 
     @abstractmethod
     def response(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
-        """Return the displacement that a frequency response reports, m (the tip, say)."""
+        """Return the displacement that a frequency response reports, m (the tip, say).
+
+        `q` are the coordinates, shape (coordinates,).
+        """
 
     @property
     def coordinate_units(self) -> str:
@@ -101,11 +123,16 @@ class AbstractEquations(eqx.Module):
         """Return what can be watched of a motion, by name, in SI units.
 
         `displacement` (the response) and `strain_energy` of every system, and what else it has.
+
+        `q` are the coordinates, shape (coordinates,).
         """
         return {"displacement": self.response(q), "strain_energy": self.strain_energy(q)}
 
     def strain_energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
-        """Return q' K q / 2, J."""
+        """Return q' K q / 2, J.
+
+        `q` are the coordinates, shape (coordinates,).
+        """
         return q @ self.linear_force(q, jnp.zeros_like(q)) / 2
 
     def mass_times(
@@ -123,6 +150,8 @@ class AbstractEquations(eqx.Module):
         """Return the rounded force of each stop, N, positive when it pushes the body off.
 
         Without `memory`, stops that have one were at rest before.
+
+        `q` are the coordinates, `rate` their velocities q', each of shape (coordinates,).
         """
         depth, depth_rate = jax.jvp(self.penetration, (q,), (rate,))
         return stop_forces(self.stops, depth, depth_rate, memory)
@@ -133,7 +162,10 @@ class AbstractEquations(eqx.Module):
         rate: Float[Array, " coordinates"],
         memory: Float[Array, " memories"],
     ) -> Float[Array, " memories"]:
-        """Return how fast the memories of the stops change, per s."""
+        """Return how fast the memories of the stops change, per s.
+
+        `q` are the coordinates, `rate` their velocities q', `memory` the internal states.
+        """
         depth, depth_rate = jax.jvp(self.penetration, (q,), (rate,))
         return memory_rates(self.stops, depth, depth_rate, memory)
 
@@ -144,7 +176,12 @@ class AbstractEquations(eqx.Module):
         drive_input: Float[ArrayLike, ""],
         memory: Float[Array, " memories"] | None = None,
     ) -> Float[Array, " coordinates"]:
-        """Solve the equation of motion for q''."""
+        """Solve the equation of motion for q''.
+
+        `q` are the coordinates, `rate` their velocities q', `drive_input` is a(t) (m/s2 or
+        N), `memory` the internal states of the stops, at rest without it. Shape
+        (coordinates,).
+        """
         _, pull_back = jax.vjp(self.penetration, q)
         (contact,) = pull_back(-self.contact_forces(q, rate, memory))
         total = (
@@ -176,6 +213,7 @@ class LinearEquations(AbstractEquations):
     """
 
     stops: tuple[Stop, ...]
+    """The stops, in the order of the rows of `stop_map`."""
     angular_frequency: Float[Array, "coordinates *lanes"]
     """Natural angular frequencies w_i, rad/s."""
     damping_ratio: Float[Array, "coordinates *lanes"]
@@ -355,6 +393,7 @@ class AbstractSystem(eqx.Module):
     """A thing that moves and can be driven. Its numbers are leaves; its equations derive."""
 
     drive: eqx.AbstractVar[AbstractDrive]
+    """What drives the system; its equations leave the waveform open."""
 
     @abstractmethod
     def equations(self) -> AbstractEquations:
@@ -400,8 +439,11 @@ class Motion(eqx.Module):
     """Equations, drive and waveform together: all that a solver's `args` need."""
 
     equations: AbstractEquations
+    """The equations of motion, computed from the system."""
     drive: AbstractDrive
+    """Where the drive acts and how strongly."""
     waveform: AbstractWaveform
+    """How the drive runs in time."""
     prepared: Any = None
     """What a solver computes once for these equations (`ContactPhases`), or None."""
 
@@ -419,7 +461,10 @@ class Motion(eqx.Module):
     def vector_field(
         self, time: Float[ArrayLike, ""], state: Float[Array, " states"], args: object
     ) -> Float[Array, " states"]:
-        """Return d(q, q', memories)/dt: the vector field of any diffrax solver."""
+        """Return d(q, q', memories)/dt: the vector field of any diffrax solver.
+
+        `time` in s, `state` of shape (states,); `args` is what diffrax hands on, not used.
+        """
         equations = self.equations
         q, rate, memory = equations.split(state)
         drive_input = self.drive.input(self.waveform, jnp.asarray(time, state.dtype))

@@ -190,6 +190,8 @@ class ElasticPendulum(AbstractSystem):
 
         Their damping matrix is kept whole: without what couples the modes the motions of period 3
         are lost. Raises `ValueError` for fewer than 1 mode, more modes than links, or no gravity.
+
+        `num_modes` is how many modes are kept.
         """
         return LinearisedPendulum(pendulum=self, num_modes=num_modes)  # pyright: ignore[reportCallIssue]
 
@@ -218,6 +220,24 @@ def default_pendulum(
     contact_stiffness, contact_damping, the beam, tip_mass and num_links. INFERRED, because the
     paper does not say: limiter_height (m), base_amplitude (m), bearing_damping (N m s/rad) and
     joint_damping_time (s), the damping of a joint over its stiffness.
+
+    Parameters:
+        limiter_height: of the limiters above the hinge, m.
+        limiter_distance: from one limiter to the other, m.
+        contact_stiffness: of a limiter, N/m.
+        contact_damping: of a limiter, N s/m.
+        base_amplitude: amplitude of the base, m.
+        joint_damping_time: damping of a joint over its stiffness, s.
+        bearing_damping: of the hinge, N m s/rad.
+        tip_mass: kg.
+        length: from hinge to tip, m.
+        width: of the section, m.
+        thickness: of the section in the direction of motion, m.
+        youngs_modulus: Pa.
+        density: kg/m3.
+        gravity: m/s2.
+        num_links: how many rigid links there are.
+
     Raises `ValueError` for numbers that are no pendulum.
     """
     law = KelvinVoigt(contact_stiffness, contact_damping, tension=False)

@@ -28,6 +28,7 @@ class ImpactingBeam(AbstractSystem):
     """
 
     beam: Cantilever
+    """The beam that moves."""
     stops: tuple[Stop, ...] = eqx.field(converter=as_stops, default=())
     """One or several stops, on either side."""
     drive: AbstractDrive = eqx.field(default_factory=NoDrive)

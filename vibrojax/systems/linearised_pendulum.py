@@ -77,11 +77,17 @@ class LinearisedPendulum(AbstractSystem):
         return _modes(self._equations())[1][:, : self.num_modes]
 
     def angles(self, q: ArrayLike) -> Float[Array, " links"]:
-        """Return the angles (rad, or rates) of modal coordinates, shape (modes,)."""
+        """Return the angles (rad, or rates) of modal coordinates, shape (modes,).
+
+        `q` are modal coordinates, or their rates. Raises `TypeError` for another shape.
+        """
         return self.shapes() @ jnp.asarray(q)
 
     def modal_coordinates(self, angles: ArrayLike) -> Float[Array, " modes"]:
-        """Return the modal coordinates of angles (or rates), shape (links,): an `initial_state`."""
+        """Return the modal coordinates of angles (or rates), shape (links,): an `initial_state`.
+
+        `angles` are rad, or rad/s. Raises `TypeError` for another shape.
+        """
         return self.shapes().T @ (self._equations().inertia @ jnp.asarray(angles))
 
     def equations(self) -> LinearEquations:

@@ -193,6 +193,8 @@ class MatrixSystem(AbstractSystem):
         """Return q of displacements x (or velocities) of shape (n,), for an `initial_state`.
 
         What the modes kept cannot represent is left out (as seen by the mass matrix).
+
+        `displacement` are x, or x'. Raises `TypeError` for another shape.
         """
         return self.modes().shapes.T @ (self.mass @ jnp.asarray(displacement, float))
 

@@ -55,10 +55,15 @@ class BasinFractions(AbstractMapResponse):
     numbers: dict[str, tuple[float, ...]] = eqx.field(static=True)
     """Ends of the box, or lists for a grid, by the names of the two numbers."""
     starts: str = eqx.field(static=True)
+    """`random`, or `grid` over the lists of `numbers`."""
     samples: int = eqx.field(static=True)
+    """How many random starts there are."""
     seed: int = eqx.field(static=True)
+    """Of the random starts."""
     plan: BasinPlan = eqx.field(static=True)
+    """Settings of `basins`: transient, periods, max_period, tolerance, barrier."""
     method: AbstractMethod | None
+    """How motions are stepped; None: as suits the system."""
 
     def __init__(
         self,

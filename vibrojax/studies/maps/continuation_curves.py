@@ -31,10 +31,15 @@ class ContinuationCurve(AbstractMapResponse):
     """
 
     period: int = eqx.field(static=True, default=1)
+    """Drive periods after which the motion repeats."""
     tolerance: float = eqx.field(static=True, default=1e-4)
+    """Error to expect relative to the response."""
     method: HarmonicBalance | None = None
+    """`HarmonicBalance()` with its samples; None: by the tolerance."""
     max_points: int = eqx.field(static=True, default=2000)
+    """Most points of a branch."""
     longest_step: float = eqx.field(static=True, default=LONGEST_STEP)
+    """Longest step along the branch, in its arclength."""
     max_crossings: int = eqx.field(static=True, default=3)
     """Answers kept at a frequency; further ones are left out."""
 

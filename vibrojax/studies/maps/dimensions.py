@@ -31,6 +31,8 @@ def zipped(**values: Any) -> Zipped:
     As a positional argument of `parameter_map` the axis is called `taper_gap`; given as a keyword,
     `design=vj.zipped(...)`, it has the name of the keyword. Raises `ValueError` for fewer than two
     names or lists of unequal lengths.
+
+    `values` are lists of equal length by name.
     """
     if len(values) < 2:
         raise ValueError(f"zipped needs at least two arguments to go together, got {len(values)}.")

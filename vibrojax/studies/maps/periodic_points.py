@@ -41,8 +41,11 @@ class PeriodicPoints(AbstractMapResponse):
     """
 
     period: int = eqx.field(static=True, default=1)
+    """Drive periods after which the motion repeats."""
     tolerance: float = eqx.field(static=True, default=1e-4)
+    """Error to expect relative to the response."""
     method: Shooting | HarmonicBalance | None = None
+    """`HarmonicBalance()` or `Shooting()`; None: as suits the system."""
 
     def __check_init__(self) -> None:
         """Refuse settings that cannot work."""

@@ -58,18 +58,23 @@ class MapPlan(NamedTuple):
     """What a map will take; the answer of `parameter_map(..., dry_run=True)`."""
 
     lanes: int
+    """Combinations of the axes, each a system."""
     points: int
     """Responses: lanes times frequencies times directions."""
     chunks: int
+    """Parts that are computed and stored one at a time."""
     lanes_per_chunk: int
+    """Lanes of a chunk, at most."""
     memory_bytes: int
     """Memory of a chunk while it is computed, about."""
     stored_bytes: int
     """Size of the result, uncompressed."""
     workers: int
+    """Chunks computed at a time."""
     lane_seconds: float
     """Seconds per lane, of one worker, measured on a few lanes spread over the map."""
     compile_seconds: float
+    """Seconds to compile, measured."""
 
     @property
     def seconds(self) -> float:

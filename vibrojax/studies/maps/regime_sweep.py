@@ -47,19 +47,29 @@ class RegimeSweep(AbstractMapResponse):
     direction: str = eqx.field(static=True, default="both")
     """`both`, `forward` or `backward`."""
     transient: int = eqx.field(static=True, default=200)
+    """Drive periods marched before the window."""
     periods: int = eqx.field(static=True, default=100)
+    """Drive periods observed."""
     max_period: int = eqx.field(static=True, default=16)
+    """Longest period looked for, in drive periods."""
     tolerance: float = eqx.field(static=True, default=0.02)
+    """Relative error within which a motion returns to itself."""
     lyapunov: bool = eqx.field(static=True, default=True)
+    """Whether the largest Lyapunov exponent is computed."""
     samples_per_period: int = eqx.field(static=True, default=32)
+    """Samples per drive period of what is observed."""
     barrier: float = eqx.field(static=True, default=0.0)
+    """Displacement of the barrier between two sides, m."""
     observables: tuple[str, ...] = eqx.field(static=True, default=())
     """Further observables of the system (`chord_reduction`, ...): their `_max` and `_rms`."""
     strobes: bool = eqx.field(static=True, default=False)
     """Whether strobed `displacement` and `velocity` are kept, along a dimension `strobe`."""
     step_tolerance: float = eqx.field(static=True, default=1e-4)
+    """Error of the steps to expect relative to the response."""
     steps_per_period: int | None = eqx.field(static=True, default=None)
+    """Steps per drive period, instead of those the tolerance asks for."""
     method: AbstractMethod | None = None
+    """How motions are stepped; None: as suits the system."""
 
     def __check_init__(self) -> None:
         """Refuse settings that cannot work; what hangs on the system is checked beside it."""

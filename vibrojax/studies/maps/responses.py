@@ -69,7 +69,11 @@ class AbstractMapResponse(eqx.Module):
 
     @abstractmethod
     def check(self, sample: AbstractSystem, grid: Grid) -> None:
-        """Refuse, with a `ValueError`, settings or systems that cannot work."""
+        """Refuse, with a `ValueError`, settings or systems that cannot work.
+
+        `sample` is one system of the map, `grid` holds its frequencies. Raises `ValueError`
+        for what does not go together.
+        """
 
     @abstractmethod
     def ways(self) -> tuple[str, list[Any]]:
@@ -97,10 +101,16 @@ class AbstractMapResponse(eqx.Module):
 
     @abstractmethod
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
-        """Answer all lanes of a block."""
+        """Answer all lanes of a block.
+
+        `maker` makes the rigs, `index` says which of them, `grid` holds the frequencies.
+        """
 
     def march_method(self, sample: AbstractSystem, grid: Grid) -> AbstractMethod | None:
-        """Return the method whose steps its motions were marched with, None where none was."""
+        """Return the method whose steps its motions were marched with, None where none was.
+
+        `sample` is one system of the map, `grid` holds its frequencies.
+        """
         return None
 
     @property
@@ -126,11 +136,17 @@ class SettledSweep(AbstractMapResponse):
     direction: str = eqx.field(static=True, default="both")
     """`both`, `forward` or `backward`."""
     tolerance: float = eqx.field(static=True, default=1e-4)
+    """Error to expect relative to the response."""
     steps_per_period: int | None = eqx.field(static=True, default=None)
+    """Steps per drive period, instead of those the tolerance asks for."""
     method: AbstractMethod | None = None
+    """How motions are stepped; None: as suits the system."""
     max_period: int = eqx.field(static=True, default=8)
+    """Longest period looked for, in drive periods."""
     max_periods: int = eqx.field(static=True, default=600)
+    """Most drive periods marched at a point."""
     refine_jumps: float | None = eqx.field(static=True, default=1e-4)
+    """Width to which jumps are refined, as a share of the frequency; None: not at all."""
 
     def __check_init__(self) -> None:
         """Refuse an unknown direction; the rest is checked beside the system."""
