@@ -108,7 +108,7 @@ def on_page_markdown(markdown, page, config, files):
     """Turn links of the repository into those of the site and names into links."""
     uri = page.file.src_uri
     if uri == "api/index.md":
-        markdown = markdown.replace("<!-- names -->", _table_of_names())
+        markdown = markdown.replace("<!-- names -->", _table_of_names(config.nav))
     if not uri.endswith(".md"):
         return markdown
     inside = (DOCS / uri).is_file() or uri == "validation.md"
@@ -152,8 +152,10 @@ def _to_reference(found, known, uri):
     return f"[{found[0]}]({posixpath.relpath(known[name], start)})"
 
 
-def _table_of_names():
+def _table_of_names(nav):
     listed = names_by_page()
+    entries = next(item["API"] for item in nav if "API" in item)
+    listed = {place: listed[place] for entry in entries for place in entry.values()}
     first, rows = sentences([name for names in listed.values() for name in names]), []
     for place, names in listed.items():
         if not names:
