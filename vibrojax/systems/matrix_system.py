@@ -43,8 +43,9 @@ class MatrixSystem(AbstractSystem):
 
     The damping need not be proportional. Every number is a leaf: it can be swept, batched and
     differentiated (derivatives with respect to the matrices need natural frequencies that differ).
+    There are n coordinates; units below are those of displacements, rotations have theirs.
 
-    Parameters (n coordinates; units are those of displacements, rotations have theirs):
+    Parameters:
         mass: M, shape (n, n), symmetric and positive definite, kg.
         damping: C, shape (n, n), symmetric, N s/m.
         stiffness: K, shape (n, n), symmetric and positive definite, N/m.
