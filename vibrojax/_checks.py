@@ -4,7 +4,8 @@ Only concrete values are checked: under `jit`, `vmap` or `grad` a value is a tra
 """
 
 import difflib
-from collections.abc import Iterable
+import inspect
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
@@ -80,6 +81,8 @@ def check_range(
     advice: str = "",
 ) -> None:
     """Raise `ValueError` unless every entry of `value` is finite and inside the interval."""
+    if isinstance(value, str | bytes):
+        _refuse(name, value, f"a number {allowed}", advice)
     values = concrete(value)
     if values is None:
         return
@@ -98,6 +101,30 @@ def check_positive(name: str, value: Any, unit: str, advice: str = "") -> None:
 def check_not_negative(name: str, value: Any, unit: str, advice: str = "") -> None:
     """Raise `ValueError` unless the value is finite and at least 0."""
     check_range(name, value, 0.0, allowed=f"at least 0 {unit}", advice=advice)
+
+
+def check_one_number(name: str, value: Any, unit: str, advice: str) -> None:
+    """Raise `ValueError` unless the value is one finite number above 0, traced or not."""
+    if callable(value) or isinstance(value, list | tuple | dict | set) or np.ndim(value):
+        _refuse(name, value, f"one number ({unit})", advice)
+    check_positive(name, value, unit)
+
+
+def name_of(function: Any) -> str:
+    """Return what a sentence calls a function."""
+    return f"The function {getattr(function, '__name__', type(function).__name__)}"
+
+
+def check_needed_arguments(function: Callable[..., Any], given: Iterable[str]) -> None:
+    """Raise `ValueError` when an argument without a default of a function is not given."""
+    given = set(given)
+    for p in inspect.signature(function).parameters.values():
+        named = p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
+        if named and p.default is p.empty and p.name not in given:
+            raise ValueError(
+                f"{name_of(function)} needs a value of {p.name!r}. Give it in the call, "
+                f"{p.name}=..., or as a default there."
+            )
 
 
 def check_position(name: str, value: Any) -> None:
@@ -131,6 +158,8 @@ def check_frequencies(name: str, values: Any, unit: str) -> np.ndarray:
 
     Raises `ValueError` otherwise.
     """
+    if isinstance(values, str | bytes):
+        _refuse(name, values, f"a sequence of numbers ({unit})", "")
     try:
         axis = np.asarray(values, dtype=float)
     except (TypeError, ValueError):

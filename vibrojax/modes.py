@@ -63,6 +63,8 @@ class Modes(eqx.Module):
         """
         if isinstance(derivative, bool) or derivative not in range(4):
             raise ValueError(f"derivative must be 0, 1, 2 or 3, got {derivative!r}.")
+        if isinstance(s, str):
+            raise ValueError(f"s must be places x/L from 0 (root) to 1 (tip), got {s!r}.")
         points = jnp.asarray(s, dtype=self.beta.dtype)
         given = points if isinstance(s, list | tuple) else s
         check_range(
@@ -156,8 +158,11 @@ def modes(beam: Cantilever, num_modes: int = 5, formulation: str = "consistent")
     eqs. 13 to 17, and `vibrojax._dtm` for the expansion in several segments and the point masses.
 
     Raises `ValueError` when num_modes is not a whole number of at least 1, the formulation is
-    unknown, or a number of the beam is an array.
+    unknown, a number of the beam is an array, or `beam` is no `Cantilever`.
     """
+    if not isinstance(beam, Cantilever):
+        advice = " Give its beam: modes(rig.beam)." if hasattr(beam, "beam") else ""
+        raise ValueError(f"beam must be a Cantilever, got a {type(beam).__name__}.{advice}")
     check_count("num_modes", num_modes)
     check_choice("formulation", formulation, FORMULATIONS)
     taper, mass_ratio = _scalar("taper", beam.taper), _scalar("mass_ratio", beam.mass_ratio)

@@ -17,12 +17,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from scipy.signal.windows import tukey
 
-from vibrojax._checks import check_count, check_positive, check_range
+from vibrojax._checks import check_count, check_one_number, check_range
 from vibrojax.response.simulate import motion
 from vibrojax.results.lyapunov import LyapunovExponent
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMarch, AbstractMethod, with_traced_numbers
-from vibrojax.systems.base import AbstractSystem
+from vibrojax.systems.base import AbstractSystem, check_is_system
 
 lax = jax.lax
 
@@ -158,13 +158,15 @@ def lyapunov_exponent(
     Raises `ValueError` for settings that contradict each other or cannot work, or a state of the
     wrong shape.
     """
+    check_is_system(system)
     check_count("periods", periods, least=4)
     check_count("transient", transient, least=0)
     if (frequency_ratio is None) == (frequency is None):
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
     for name, value in (("frequency", frequency), ("frequency_ratio", frequency_ratio)):
         if value is not None:
-            check_positive(name, value, "Hz" if name == "frequency" else "(ratio)")
+            advice = "Use regimes for many."
+            check_one_number(name, value, "Hz" if name == "frequency" else "ratio", advice)
     check_range(
         "tolerance", tolerance, 0.0, 0.1, include_low=False, allowed="above 0 and at most 0.1"
     )

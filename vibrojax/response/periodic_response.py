@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._checks import check_count, check_positive, check_range
+from vibrojax._checks import check_count, check_one_number, check_range
 from vibrojax.response.balanced_motion import read_balanced, solve_balance
 from vibrojax.response.contact_times import MOST_EVENTS, Events, Orbit, follow_events
 from vibrojax.response.exact_point import Guess, exact_point
@@ -21,7 +21,7 @@ from vibrojax.response.starting import sampled_motion, settled_motion
 from vibrojax.response.tracing import REPAIRS
 from vibrojax.results.periodic_response import PeriodicResponse, reading_of
 from vibrojax.stepping.choice import is_exact
-from vibrojax.systems.base import AbstractSystem, LinearEquations, as_arrays
+from vibrojax.systems.base import AbstractSystem, LinearEquations, as_arrays, check_is_system
 
 lax = jax.lax
 
@@ -65,8 +65,10 @@ def periodic_response(
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
     is_ratio = frequency_ratio is not None
     value = frequency_ratio if is_ratio else frequency
-    name, unit = ("frequency_ratio", "(ratio)") if is_ratio else ("frequency", "Hz")
-    check_positive(name, value, unit)
+    name, unit = ("frequency_ratio", "ratio") if is_ratio else ("frequency", "Hz")
+    check_is_system(system)
+    advice = "Use continue_response, frequency_sweep or jax.vmap for many."
+    check_one_number(name, value, unit, advice)
     if method is not None and not isinstance(method, Shooting | HarmonicBalance):
         raise ValueError(f"method must be Shooting() or HarmonicBalance(), got {method!r}.")
     arrays, value = as_arrays(system), jnp.asarray(value, float)

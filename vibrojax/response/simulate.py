@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._checks import check_choice, check_count, check_positive, concrete
+from vibrojax._checks import check_choice, check_count, check_one_number, check_positive, concrete
 from vibrojax.drive import AbstractWaveform, Harmonic
 from vibrojax.results.history import History
 from vibrojax.stepping.choice import choose_method, prepare_motion
@@ -18,6 +18,7 @@ from vibrojax.systems.base import (
     LinearEquations,
     Motion,
     as_arrays,
+    check_is_system,
     equations_of,
 )
 from vibrojax.systems.impacting_beam import ImpactingBeam
@@ -161,7 +162,13 @@ def task_of(
     max_steps: int | None,
 ) -> Task:
     """Check what `simulate` was asked and get it ready. Raises `ValueError` as it says."""
+    check_is_system(system)
     check_choice("gradient", gradient, ("reverse", "forward"))
+    if solver is not None and not isinstance(solver, diffrax.AbstractSolver):
+        raise ValueError(
+            "solver must be a diffrax solver, such as vj.ExactContact() or diffrax.Tsit5(), got "
+            f"{solver!r}."
+        )
     _check_waveform(system, frequency, frequency_ratio, waveform)
     if sampling_rate is not None:
         check_positive("sampling_rate", sampling_rate, "Hz")
@@ -301,7 +308,8 @@ def solve(task: Task) -> History:
 def _check_waveform(system, frequency, frequency_ratio, waveform) -> None:
     for name, value in (("frequency", frequency), ("frequency_ratio", frequency_ratio)):
         if value is not None:
-            check_positive(name, value, "Hz" if name == "frequency" else "(ratio)")
+            advice = "Use simulate_each for several."
+            check_one_number(name, value, "Hz" if name == "frequency" else "ratio", advice)
     _, unit = system.drive.reference
     if unit != "m" and frequency is None and frequency_ratio is None and waveform is None:
         raise ValueError(

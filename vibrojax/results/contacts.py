@@ -31,7 +31,7 @@ COLUMNS = {
     "restitution": ("1", "Departure speed over approach speed"),
     "energy_lost": ("J", "Energy taken by the stop"),
 }
-SHOWN = 20
+SHOWN = 8
 """Contacts that the table of a `repr` shows."""
 
 

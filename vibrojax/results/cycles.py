@@ -12,7 +12,7 @@ from vibrojax._checks import check_not_negative, check_positive, concrete
 from vibrojax.results.crossings import check_whole, crossings, curve_of
 from vibrojax.results.quantities import check_quantity, observables_of, unit_and_label
 from vibrojax.results.status import Status
-from vibrojax.results.variables import VARIABLES
+from vibrojax.results.variables import VARIABLES, described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -201,7 +201,9 @@ class Cycles:
             for name, values in columns.items()
         }
         cycle = np.arange(1, len(self) + 1)
-        return xarray.Dataset(data, {"cycle": cycle}, attrs=self._settings())
+        return xarray.Dataset(
+            data, {"cycle": ("cycle", cycle, described_as("cycle"))}, attrs=self._settings()
+        )
 
     def plot(self, orders: Sequence[int] = (1, 3, 5)) -> "Figure":
         """Draw the length of every cycle in drive periods against the drive frequency.

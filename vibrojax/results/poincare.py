@@ -10,6 +10,7 @@ from jaxtyping import Float
 from vibrojax._checks import check_choice, check_range, nearest
 from vibrojax.results.crossings import check_whole, crossings, curve_of, curve_through
 from vibrojax.results.quantities import observable_motion, observables_of, unit_and_label
+from vibrojax.results.variables import described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -62,7 +63,8 @@ class PoincareSection:
             units, label = _told(name)
             data[name] = ("point", values, {"units": units, "long_name": label})
         attributes: dict[str, Any] = {"section": self.title, "quantity": self.quantity}
-        return xarray.Dataset(data, {"point": np.arange(1, len(self) + 1)}, attrs=attributes)
+        number = ("point", np.arange(1, len(self) + 1), described_as("point"))
+        return xarray.Dataset(data, {"point": number}, attrs=attributes)
 
     def plot(self, x: str | None = None, y: str | None = None) -> "Figure":
         """Draw one variable against another, by default the rate of the quantity against it.

@@ -20,7 +20,7 @@ from vibrojax._checks import (
     check_range,
     nearest,
 )
-from vibrojax.results.variables import VARIABLES
+from vibrojax.results.variables import VARIABLES, described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -177,7 +177,11 @@ class Spectrum:
             },
             {
                 "frequency": ("frequency", self.frequency, hertz),
-                "mode": np.arange(1, len(self.natural_frequencies) + 1),
+                "mode": (
+                    "mode",
+                    np.arange(1, len(self.natural_frequencies) + 1),
+                    described_as("mode"),
+                ),
             },
             attrs=settings,
         )

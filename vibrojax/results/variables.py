@@ -74,6 +74,8 @@ VARIABLES = {
     "attractor_number": Variable("1", "Attractor, from 1"),
     "direction": Variable("1", "Direction of the sweep"),
     "stop": Variable("1", "Stop, from 1"),
+    "cycle": Variable("1", "Cycle, from 1"),
+    "point": Variable("1", "Point, from 1"),
     "initial_state": Variable("m, m/s", "Modal displacements, then velocities, at phase 0"),
     "start_state": Variable("m, m/s", "State from which the search marched"),
     "leads_to": Variable("1", "Motion a start leads to, from 1 (0: no period, -1: diverged)"),

@@ -38,8 +38,13 @@ def choose_method(
 ) -> AbstractMethod:
     """Return the method asked for, or the one that suits the stops of the system.
 
-    Raises `ValueError` when the method asked for cannot do the stops or the damping.
+    Raises `ValueError` when the method asked for is none, or cannot do the stops or the damping.
     """
+    if method is not None and not isinstance(method, AbstractMethod):
+        raise ValueError(
+            "method must be ExactContact(), ExponentialSplitting() or LinearlyImplicit(), with its "
+            f"settings, got {method!r}. Leave it out to have it chosen."
+        )
     exact = is_exact(system)
     if isinstance(method, ExactContact) and not exact:
         raise ValueError(

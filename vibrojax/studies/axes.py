@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax._checks import nearest
+from vibrojax._checks import check_needed_arguments, name_of, nearest
 from vibrojax.systems.base import AbstractSystem
 
 
@@ -70,6 +70,7 @@ def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[
         for name in axes:
             if name not in known:
                 raise ValueError(f"Unknown argument {name!r}. {nearest(name, known)}")
+    check_needed_arguments(system, axes)
     fixed = {k: v for k, v in axes.items() if np.ndim(v) == 0}
     swept = {k: np.asarray(v, dtype=float) for k, v in axes.items() if np.ndim(v) > 0}
     for name, values in swept.items():
@@ -84,5 +85,5 @@ def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[
     ]
     for one in made:
         if not isinstance(one, AbstractSystem):
-            raise ValueError(f"{system!r} must return a system, got {one!r}.")
+            raise ValueError(f"{name_of(system)} must return a system, got {one!r}.")
     return Lanes(stacked(made), made[0], swept, repr(made[0]))

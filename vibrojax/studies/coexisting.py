@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax._checks import check_count, check_positive
+from vibrojax._checks import check_count, check_needed_arguments, check_positive
 from vibrojax.response.tracing import take
 from vibrojax.results.branch import Branch
 from vibrojax.results.coexisting import Coexisting, Motion
@@ -17,7 +17,7 @@ from vibrojax.studies.continuation_axes import check_system
 from vibrojax.studies.continuation_paths import frequency_paths
 from vibrojax.studies.continue_response import continue_response
 from vibrojax.studies.starting import settled
-from vibrojax.systems.base import AbstractSystem, as_arrays
+from vibrojax.systems.base import AbstractSystem, as_arrays, check_is_system
 
 SAME = 1e-3
 """Relative distance of states below which two motions are one."""
@@ -63,6 +63,9 @@ def coexisting_responses(
     value = float(frequency_ratio if frequency_ratio is not None else frequency or 0.0)
     check_positive("frequency_ratio" if is_ratio else "frequency", value, "")
     if not isinstance(system, AbstractSystem):
+        if not callable(system):
+            check_is_system(system)
+        check_needed_arguments(system, numbers)
         system = system(**numbers)
     elif numbers:
         raise ValueError(f"Unknown argument {next(iter(numbers))!r}: the system is made already.")

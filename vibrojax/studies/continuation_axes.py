@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax._checks import check_positive, nearest
+from vibrojax._checks import check_needed_arguments, check_positive, name_of, nearest
 from vibrojax.response.methods import check_balance
 from vibrojax.studies.frequency_sweep import check_drive
 from vibrojax.systems.base import (
@@ -159,6 +159,7 @@ def _is_real(value: Any) -> bool:
 def _check_names(system: Any, numbers: dict[str, Any]) -> None:
     if not callable(system):
         raise ValueError(f"system must be a system or a function that makes one, got {system!r}.")
+    check_needed_arguments(system, numbers)
     parameters = inspect.signature(system).parameters.values()
     if any(p.kind is p.VAR_KEYWORD for p in parameters):
         return
@@ -173,7 +174,7 @@ def _make(system: Any, numbers: dict[str, Any]) -> AbstractSystem:
         return system
     made = system(**numbers)
     if not isinstance(made, AbstractSystem):
-        raise ValueError(f"{system!r} must return a system, got {made!r}.")
+        raise ValueError(f"{name_of(system)} must return a system, got {made!r}.")
     return made
 
 

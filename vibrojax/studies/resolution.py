@@ -37,6 +37,8 @@ def check_resolution(
     method=m), rig)`.
     """
     check_count("samples", samples, least=16)
+    if not callable(study):
+        raise ValueError(f"study must be a function of a system and a method, got {study!r}.")
     method = HarmonicBalance(samples=samples)
     base = _numbers(study(system, method))
     moved: dict[str, dict[str, np.ndarray]] = {}

@@ -8,6 +8,7 @@ from them once, before any stepping, so that nothing derived can go stale.
 
 import dataclasses
 from abc import abstractmethod
+from collections.abc import Iterable
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -411,8 +412,25 @@ class AbstractSystem(eqx.Module):
 
 
 def as_stops(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:
-    """Return one stop or several as a tuple."""
-    return (stops,) if isinstance(stops, Stop) else tuple(stops)
+    """Return one stop or several as a tuple. Raises `ValueError` for what is neither."""
+    if isinstance(stops, Stop):
+        return (stops,)
+    if not isinstance(stops, Iterable):
+        raise ValueError(
+            f"stops must be a Stop or a list of them, got {stops!r}. Leave it out for none."
+        )
+    return tuple(stops)
+
+
+def check_is_system(system: Any) -> None:
+    """Raise `ValueError` unless it is a system: a function that makes one has to be called."""
+    if isinstance(system, AbstractSystem):
+        return
+    name = getattr(system, "__name__", "make")
+    advice = f" Call it first: {name}(...)." if callable(system) else ""
+    raise ValueError(
+        f"system must be a system, such as an ImpactingBeam, got {shown_value(system)}.{advice}"
+    )
 
 
 def check_stops_and_drive(stops: tuple[Stop, ...], drive: AbstractDrive) -> None:

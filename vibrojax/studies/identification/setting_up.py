@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax._checks import check_choice, nearest
+from vibrojax._checks import check_choice, check_needed_arguments, nearest
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory
 from vibrojax.measured.reading import read_measured_curve
@@ -78,8 +78,10 @@ def given(
             f"make_system must be a function from named numbers to a system, got {make!r}. Write "
             "def rig(stiffness=..., damping=...): return vj.ImpactingBeam(...)."
         )
-    if not guess:
-        raise ValueError("guess must name at least one number to fit, as dict(stiffness=3000.0).")
+    if not guess or not isinstance(guess, Mapping):
+        raise ValueError(
+            f"guess must name at least one number to fit, as dict(stiffness=3000.0), got {guess!r}."
+        )
     parameters = inspect.signature(make).parameters.values()
     known = [p.name for p in parameters]
     free = any(p.kind is p.VAR_KEYWORD for p in parameters)
@@ -87,6 +89,7 @@ def given(
     for name in [*guess, *numbers, *private, *of_curves]:
         if name not in known and not free:
             raise ValueError(f"Unknown argument {name!r} of the rig. {nearest(name, known)}")
+    check_needed_arguments(make, [*guess, *numbers, *of_curves])
     for what, names in (("bounds", bounds), ("transforms", transforms), ("private", private)):
         for name in names or ():
             if name not in guess:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax._checks import nearest
+from vibrojax._checks import check_needed_arguments, nearest
 
 RESERVED = ("direction", "crossing", "frequency", "frequency_ratio", "fold", "grazing")
 """Names that the result itself uses for dimensions."""
@@ -154,6 +154,7 @@ def arguments_of(
             raise ValueError(f"Unknown argument {name!r} of the rig. {nearest(name, known)}")
         if [*varied, *fixed].count(name) > 1:
             raise ValueError(f"{name} is given twice: once is an axis, twice is a contradiction.")
+    check_needed_arguments(make_system, (*varied, *fixed))
     names = [d.name for d in dimensions]
     for name in names:
         if names.count(name) > 1 or name in RESERVED:

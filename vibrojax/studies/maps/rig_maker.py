@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from vibrojax._checks import name_of
 from vibrojax.studies.axes import stacked
 from vibrojax.studies.maps.dimensions import Arguments, default_of
 from vibrojax.studies.swept_lanes import Rigs, rigs_of
@@ -84,7 +85,7 @@ class RigMaker:
         index = (0,) * len(self.arguments.dimensions) if index is None else index
         made = self.make(**self.arguments.at(index))
         if not isinstance(made, AbstractSystem):
-            raise ValueError(f"{self.make!r} must return a system, got {made!r}.")
+            raise ValueError(f"{name_of(self.make)} must return a system, got {made!r}.")
         return made
 
     def check(self) -> None:
