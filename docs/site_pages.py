@@ -128,9 +128,9 @@ def on_page_markdown(markdown, page, config, files):
     return "".join(parts)
 
 
-def _on_the_site(found, path, uri, files):
+def _on_the_site(found, path, uri, files, inner=False):
     picture, text, target = found.groups()
-    text = LINK.sub(lambda inner: _on_the_site(inner, path, uri, files), text)
+    text = LINK.sub(lambda inner: _on_the_site(inner, path, uri, files, inner=True), text)
     meant = target_of(path, target)
     if meant is None:
         return f"{picture}[{text}]({target})"
@@ -139,7 +139,10 @@ def _on_the_site(found, path, uri, files):
         return text  # a file of the repository that is no page: its name has to do
     start = posixpath.dirname(uri) or "."
     anchor = "#" + target.split("#")[1] if "#" in target else ""
-    return f"{picture}[{text}]({posixpath.relpath(on_site, start)}{anchor})"
+    link = f"{picture}[{text}]({posixpath.relpath(on_site, start)}{anchor})"
+    if picture and not inner:  # a click shows the picture in its full size
+        return f"[{link}]({posixpath.relpath(on_site, start)})"
+    return link
 
 
 def _to_reference(found, known, uri):
