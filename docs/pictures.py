@@ -1,8 +1,10 @@
-"""Make docs/branch_and_sweep.png and docs/map.png.
+"""Make docs/branch_and_sweep.png, docs/map.png and docs/explorer.png.
 
 python docs/pictures.py            some minutes, the map most of it
+python docs/pictures.py explorer   only these
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +52,16 @@ def amplitude_map():
     return vj.plot_map(maps, "amplitude_ratio", x="frequency_ratio", y="gap")
 
 
+def explorer():
+    """Draw the explorer of the default rig as it is where no kernel is live."""
+    view = vj.explore(
+        vj.default_rig, gap=(0.1e-3, 1e-3), stiffness=(500, 50000), frequency_ratio=(0.8, 1.4)
+    )
+    return view.figure()
+
+
+PICTURES = {"branch_and_sweep": branch_and_sweep, "map": amplitude_map, "explorer": explorer}
+
 if __name__ == "__main__":
-    branch_and_sweep().savefig(Path(__file__).parent / "branch_and_sweep.png")
-    amplitude_map().savefig(Path(__file__).parent / "map.png")
+    for name in sys.argv[1:] or PICTURES:
+        PICTURES[name]().savefig(Path(__file__).parent / f"{name}.png")
