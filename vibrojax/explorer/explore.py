@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import ArrayLike
 
 from vibrojax._checks import check_choice, nearest
 from vibrojax.explorer.explorer import Explorer, Measurement, Slider
@@ -29,10 +30,10 @@ MARGIN = 0.03
 
 
 def explore(
-    make_system: Callable[..., AbstractSystem],
+    make_system: Callable[..., AbstractSystem] | AbstractSystem,
     *,
-    frequency_ratio: Sequence[float] | None = None,
-    frequency: Sequence[float] | None = None,
+    frequency_ratio: ArrayLike | Sequence[float] | None = None,
+    frequency: ArrayLike | Sequence[float] | None = None,
     variable: str = "amplitude_ratio",
     measured: Any = None,
     **numbers: Any,
@@ -53,7 +54,7 @@ def explore(
     picture with a note.
 
     Parameters:
-        make_system: a function from named numbers to a system with stops.
+        make_system: a function (not a system) from named numbers to a system with stops.
         frequency_ratio, frequency: range (low, high) of the drive frequency, as ratio to the first
             natural frequency of the unstopped system, or in Hz; one of the two. By default the
             range of the measured points, or (0.8, 1.4) times the first natural frequency.

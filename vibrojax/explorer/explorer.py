@@ -125,8 +125,9 @@ class Explorer:
         return curve._replace(response=curve.contact_force) if self._force else curve
 
     def orbit(self, frequency: float, **numbers: float) -> LiveOrbit:
-        """Return the orbit whose frequency (ratio or Hz, as drawn) is nearest, stable if it can be.
+        """Return the orbit nearest to a frequency (ratio or Hz, as drawn).
 
+        Of several motions at one frequency it is the stable one of the largest response.
         Raises `ValueError` as `system` does, and where no curve was found.
         """
         curve = self.curve(**numbers)
@@ -223,15 +224,21 @@ class Explorer:
 
 
 def nearest_point(curve: LiveCurve, frequency: float) -> int:
-    """Return the point of a curve nearest in frequency, a stable one first.
+    """Return the point of a curve nearest to a frequency; of several the highest stable one.
 
     Raises `ValueError` where no curve was found.
     """
     if not len(curve.frequency):
         raise ValueError(f"There is no curve to take an orbit from: {curve.ending.sentence}")
     away = np.abs(curve.frequency - frequency)
-    near = away <= 2 * np.min(away) + 1e-3 * abs(frequency)
-    return int(np.argmin(np.where(near, away + 1e3 * ~curve.stable * np.ptp(away), np.inf)))
+    ends = np.pad(away, 1, constant_values=np.inf)
+    passes = np.flatnonzero((away <= ends[:-2]) & (away <= ends[2:]))
+    # Where the curve turns round before it gets there it does not pass the frequency.
+    longest = np.max(np.abs(np.diff(curve.frequency)), initial=0.0)
+    passes = passes[away[passes] <= max(longest, away.min())]
+    stable = passes[curve.stable[passes]]
+    chosen = stable if len(stable) else passes
+    return int(chosen[np.argmax(curve.response[chosen])])
 
 
 def highest_stable(curve: LiveCurve) -> int:

@@ -31,26 +31,25 @@ class Sweep(NamedTuple):
 def swept_curve(curve: LiveCurve, way: int) -> Sweep:
     """Follow a branch upwards (`way` 1) or downwards (-1) in frequency.
 
-    A sweep stays on the branch while it is stable; at a fold, or where stability is lost, it goes
-    to the nearest stable part (along the branch) at that frequency. Where there is none, the motion
-    has another period, and the sweep goes on where the branch is stable again.
+    A sweep stays on the branch while it is stable. At a fold it goes to the nearest stable part
+    (along the branch) at that frequency. Where stability is lost without a fold the motion has
+    another period, and the sweep goes on where the branch is stable again.
     """
     frequency, response, stable = curve.frequency, curve.response, curve.stable
     pieces, jumps = [], []
     last = _first(frequency, stable, way)
     while last is not None and len(pieces) < MOST_PIECES:
-        index = _onwards(frequency, stable, last, way)
+        index, at_fold = _onwards(frequency, stable, last, way)
         if len(index) > 1:
             pieces.append(np.stack([frequency[index], response[index]], axis=1))
         last = index[-1]
-        here = frequency[last]
-        if here in (frequency[0], frequency[-1]) and len(index) > 1:
+        if last in (0, len(frequency) - 1) and len(index) > 1:
             break  # an end of the range
-        low = _landing(frequency, stable, last)
+        low = _landing(frequency, stable, last) if at_fold else None
         if low is None:
             last = _resumption(frequency, stable, last, way)
             continue
-        high = low + 1
+        high, here = low + 1, frequency[last]
         share = (here - frequency[low]) / (frequency[high] - frequency[low])
         arrived = response[low] + share * (response[high] - response[low])
         jumps.append(np.array([[here, response[last]], [here, arrived]]))
@@ -65,20 +64,26 @@ def _first(frequency, stable, way: int) -> int | None:
     return int(np.argmin(np.where(stable, way * frequency, np.inf)))
 
 
-def _onwards(frequency, stable, at: int, way: int) -> list[int]:
-    """Indices from a point on, while the branch is stable and goes the way of the sweep."""
+def _onwards(frequency, stable, at: int, way: int) -> tuple[list[int], bool]:
+    """Indices from a point on while the branch is stable and goes the way of the sweep.
+
+    With them whether a fold ends them: whether the branch turns back before it is stable again.
+    """
     count = len(frequency)
+
+    def goes_on(k: int, step: int) -> bool:
+        return 0 <= k + step < count and bool(way * (frequency[k + step] - frequency[k]) > 0)
+
     for step in (1, -1):
         index = [at]
-        while 0 <= index[-1] + step < count:
-            following = index[-1] + step
-            goes = way * (frequency[following] - frequency[index[-1]]) > 0
-            if not (goes and stable[following]):
-                break
-            index.append(following)
+        while goes_on(index[-1], step) and stable[index[-1] + step]:
+            index.append(index[-1] + step)
+        beyond = index[-1]
+        while goes_on(beyond, step) and not stable[beyond + step]:
+            beyond += step
         if len(index) > 1:
-            return index
-    return [at]
+            return index, not goes_on(beyond, step)
+    return [at], True
 
 
 def _landing(frequency, stable, last: int) -> int | None:
