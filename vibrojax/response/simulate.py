@@ -71,8 +71,8 @@ def simulate(
     sampling_rate: float | int | None = None,
     initial_state: tuple[Any, ...] | None = None,
     release: ArrayLike | None = None,
-    solver: diffrax.AbstractSolver | None = None,
-    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    solver: diffrax.AbstractSolver[Any] | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController[Any, Any] | None = None,
     tolerance: float = 1e-6,
     gradient: str = "reverse",
     max_steps: int | None = None,
@@ -132,8 +132,8 @@ class Task(NamedTuple):
 
     system: AbstractSystem
     run: Motion
-    solver: diffrax.AbstractSolver
-    controller: diffrax.AbstractStepSizeController
+    solver: diffrax.AbstractSolver[Any]
+    controller: diffrax.AbstractStepSizeController[Any, Any]
     adjoint: diffrax.AbstractAdjoint
     times: Float[Array, " samples"]
     state: Float[Array, " states"]
@@ -155,8 +155,8 @@ def task_of(
     sampling_rate: float | int | None,
     initial_state: tuple[Any, ...] | None,
     release: ArrayLike | None,
-    solver: diffrax.AbstractSolver | None,
-    stepsize_controller: diffrax.AbstractStepSizeController | None,
+    solver: diffrax.AbstractSolver[Any] | None,
+    stepsize_controller: diffrax.AbstractStepSizeController[Any, Any] | None,
     tolerance: float,
     gradient: str,
     max_steps: int | None,
@@ -191,7 +191,7 @@ def task_of(
         if isinstance(solver, ExactContact) and gradient == "reverse" and not solver.max_attempts:
             solver = ExactContact(solver.tolerance, solver.steps_per_period, ATTEMPTS)
         parts = math.ceil(solver.steps(run) / per_period)
-        controller: diffrax.AbstractStepSizeController = diffrax.ConstantStepSize()
+        controller: diffrax.AbstractStepSizeController[Any, Any] = diffrax.ConstantStepSize()
     else:
         parts, size = None, jnp.max(jnp.abs(state)) + _static_size(system, run)
         controller = stepsize_controller or diffrax.PIDController(

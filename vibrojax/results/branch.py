@@ -1,6 +1,7 @@
 """A branch of periodic responses: the result of a continuation."""
 
 import os
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -299,7 +300,7 @@ class Branches(eqx.Module):
     def __getitem__(self, index: int) -> Branch:
         return self.branches[index]
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[Branch]:
         return iter(self.branches)
 
     @property

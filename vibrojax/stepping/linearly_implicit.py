@@ -79,7 +79,7 @@ class LinearlyImplicit(AbstractMethod):
             refinements=self.refinements,
         )
 
-    def init(self, terms, t0, t1, y0, args) -> StepMatrix:
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> StepMatrix:
         """Invert the matrix of the solve for the step, for diffrax."""
         equations = _without_memory(args.equations)
         return step_matrix(linear_matrices(equations), jnp.asarray(t1 - t0))

@@ -94,16 +94,16 @@ class StateInterpolation(diffrax.AbstractLocalInterpolation):
         return jnp.concatenate([q, v, self.memory0 + u * (self.memory1 - self.memory0)])
 
 
-class AbstractMethod(diffrax.AbstractSolver):
+class AbstractMethod(diffrax.AbstractSolver[Any]):
     """How the motion is stepped; a setting, apart from the system.
 
     Every method is a diffrax solver too: pass a `Motion` as `args` and
     `ODETerm(motion.vector_field)` as the terms, at constant steps.
     """
 
-    term_structure: ClassVar = diffrax.AbstractTerm
+    term_structure: ClassVar[Any] = diffrax.AbstractTerm
     """The terms that diffrax has to give: one, of the vector field."""
-    interpolation_cls: ClassVar = StateInterpolation
+    interpolation_cls: ClassVar[Any] = StateInterpolation
     """How diffrax reads between steps."""
 
     @abstractmethod
@@ -141,15 +141,24 @@ class AbstractMethod(diffrax.AbstractSolver):
         returned.
         """
 
-    def order(self, terms):
+    def order(self, terms: Any) -> int:
         """Order of convergence with smooth forces."""
         return 2
 
-    def func(self, terms, t0, y0, args):
+    def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
         """Vector field, for diffrax."""
         return terms.vf(t0, y0, args)
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+    def step(
+        self,
+        terms: Any,
+        t0: Any,
+        t1: Any,
+        y0: Any,
+        args: Any,
+        solver_state: Any,
+        made_jump: Any,
+    ) -> tuple[Any, None, dict[str, Any], Any, Any]:
         """Take one step, for diffrax."""
         state = self.advance(args, jnp.asarray(t0), jnp.asarray(t1 - t0), y0, solver_state)
         whole = jnp.all(jnp.isfinite(state))
@@ -234,7 +243,7 @@ class ExactContact(AbstractMethod):
         if self.max_attempts is not None:
             check_count("max_attempts", self.max_attempts)
 
-    def init(self, terms, t0, t1, y0, args) -> ContactPhases | None:
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> ContactPhases | None:
         """Compute the phases once, for diffrax, unless `motion` has."""
         run = _motion_of(args)
         if run.prepared is not None:
@@ -326,7 +335,7 @@ class ExponentialSplitting(AbstractMethod):
         linear = _uncoupled(equations)
         return SplittingMarch(linear, drive, jnp.asarray(self.tolerance), self.steps_per_period)
 
-    def init(self, terms, t0, t1, y0, args) -> None:
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> None:
         """Keep nothing between steps, for diffrax."""
         _uncoupled(_motion_of(args).equations)
 

@@ -1,7 +1,7 @@
 """Branches of periodic responses along the drive frequency or any other number."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, overload
 
 from jaxtyping import ArrayLike
 
@@ -15,6 +15,37 @@ from vibrojax.studies.continuation_axes import along_of
 from vibrojax.studies.continuation_paths import paths_of
 from vibrojax.studies.continuation_plan import Plan, Resolution
 from vibrojax.systems.base import AbstractSystem
+
+
+@overload
+def continue_response(
+    system: AbstractSystem,
+    *,
+    frequency_ratio: ArrayLike | Sequence[float] | None = None,
+    frequency: ArrayLike | Sequence[float] | None = None,
+    period: int = 1,
+    tolerance: float = 1e-4,
+    method: HarmonicBalance | None = None,
+    start: Any = None,
+    max_points: int = 2000,
+    longest_step: float = LONGEST_STEP,
+) -> Branch: ...
+
+
+@overload
+def continue_response(
+    system: Callable[..., AbstractSystem],
+    *,
+    frequency_ratio: ArrayLike | Sequence[float] | None = None,
+    frequency: ArrayLike | Sequence[float] | None = None,
+    period: int = 1,
+    tolerance: float = 1e-4,
+    method: HarmonicBalance | None = None,
+    start: Any = None,
+    max_points: int = 2000,
+    longest_step: float = LONGEST_STEP,
+    **numbers: Any,
+) -> Branch | Branches: ...
 
 
 def continue_response(

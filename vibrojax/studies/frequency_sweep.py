@@ -15,7 +15,7 @@ from vibrojax.studies.axes import Lanes, lanes_of
 from vibrojax.studies.swept_lanes import SweepPlan, Swept, numbers_of_jumps, rigs_of, sweep_rigs
 from vibrojax.systems.base import AbstractSystem
 
-DIRECTIONS = {
+DIRECTIONS: dict[str, tuple[str, ...]] = {
     "both": ("forward", "backward"),
     "forward": ("forward",),
     "backward": ("backward",),

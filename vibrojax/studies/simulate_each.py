@@ -32,7 +32,7 @@ def simulate_each(
     samples_per_period: int = 128,
     samples: int | None = None,
     sampling_rate: float | int | None = None,
-    solver: diffrax.AbstractSolver | None = None,
+    solver: diffrax.AbstractSolver[Any] | None = None,
     tolerance: float = 1e-6,
     **numbers: Any,
 ) -> Histories:

@@ -15,7 +15,9 @@ RESERVED = ("direction", "crossing", "frequency", "frequency_ratio", "fold", "gr
 class Zipped:
     """Numbers that go along one axis together; made by `zipped`."""
 
-    def __init__(self, values: Mapping[str, Any]):
+    values: dict[str, Any]
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
         self.values = dict(values)
 
     def __repr__(self) -> str:

@@ -43,7 +43,14 @@ def _made(make, static: dict[str, Any], fixed: dict[str, Any], numbers: Numbers,
 class RigMaker:
     """The function of a map and what it is called with."""
 
-    def __init__(self, make: Callable[..., AbstractSystem], arguments: Arguments):
+    make: Callable[..., AbstractSystem]
+    arguments: Arguments
+    static: tuple[bool, ...]
+    """Which dimensions are not traced: texts, and numbers that decide the structure."""
+    traced: bool
+    """Whether the function can be traced."""
+
+    def __init__(self, make: Callable[..., AbstractSystem], arguments: Arguments) -> None:
         self.make, self.arguments = make, arguments
         dimensions = arguments.dimensions
         self.static = tuple(d.is_text for d in dimensions)
