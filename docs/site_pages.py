@@ -77,7 +77,8 @@ def names_by_page() -> dict[str, list[str]]:
 
 def on_config(config):
     """Put the notebooks that exist in the place of the entry `notebooks/`."""
-    entries = []
+    overview = DOCS / "notebooks" / "README.md"
+    entries = [{"Overview": "notebooks/README.md"}] if overview.exists() else []
     for path in sorted((DOCS / "notebooks").glob("[0-9]*.ipynb")):
         cells = json.loads(path.read_text())["cells"]
         titles = (re.match(r"#\s+(.+)", "".join(cell["source"])) for cell in cells)
