@@ -13,6 +13,8 @@ from types import ModuleType
 import pytest
 
 import vibrojax as vj
+from vibrojax import cli, rig_file_keys
+from vibrojax.results.variables import PARAMETER_UNITS, VARIABLES
 
 PUBLIC = {name: getattr(vj, name) for name in dir(vj) if not name.startswith("_")}
 CLASSES = {name: value for name, value in PUBLIC.items() if inspect.isclass(value)}
@@ -159,3 +161,56 @@ def test_submodules_are_reached_all_the_same():
         "import vibrojax.results.plotting as p, vibrojax as vj; assert vj.results.plotting is p"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
+
+
+def arguments(*functions):
+    return {name for f in functions for name in inspect.signature(f).parameters}
+
+
+COMMAND_ONLY = {"rig", "axis", "no_curves", "summary", "output", "picture", "quiet", "curve", "fit"}
+"""Options that name files or spell lists: what Python passes as objects and arguments."""
+
+
+def test_options_of_commands_are_named_as_arguments():
+    python = {
+        "sweep": arguments(vj.frequency_sweep),
+        "map": arguments(vj.parameter_map, vj.SettledSweep),
+        "modes": arguments(vj.modes),
+        "fit": arguments(vj.identify, vj.read_measured_curve),
+    }
+    for command, function in cli.COMMANDS.items():
+        assert arguments(function) - COMMAND_ONLY <= python[command], command
+
+
+def test_keys_of_rig_files_are_named_as_arguments():
+    python = {
+        "beam": arguments(vj.Cantilever),
+        "beam.point_masses": arguments(vj.PointMass),
+        "stop": arguments(vj.Stop),
+        "drive": arguments(vj.BaseMotion, vj.PointForce) | {"kind"},  # which of the two
+        "model": arguments(vj.ImpactingBeam),
+        "sweep": arguments(vj.frequency_sweep),
+    }
+    for table, keys in rig_file_keys.KEYS.items():
+        assert set(keys) <= python[table], table
+    lists = {"axes"}  # the further keywords of a map
+    known = arguments(vj.parameter_map, vj.SettledSweep) | lists
+    assert set(rig_file_keys.MAP_KEYS) <= known
+    for law, keys in rig_file_keys.LAWS.values():
+        assert set(keys) <= arguments(law)
+
+
+@pytest.mark.parametrize("kind", [vj.FrequencyResponse, vj.Branch, vj.PeriodicResponse])
+def test_variables_of_datasets_are_named_as_fields(kind):
+    curves = {n for n in fields_of(kind) if n.endswith("_ratio") or n.startswith("contact")}
+    assert {"amplitude_ratio", "peak_ratio", "contact_force", "contacts_per_period"} <= curves
+    assert curves - {"frequency_ratio"} <= set(VARIABLES)
+
+
+@pytest.mark.parametrize("name", ["KelvinVoigt", "default_rig"])
+def test_arguments_and_units_of_parameters_are_the_same(name):
+    """What is drawn over an argument of the rig has the unit that its docstring says."""
+    for argument in inspect.signature(PUBLIC[name]).parameters:
+        if argument in PARAMETER_UNITS:
+            texts = fields_of(PUBLIC[name]) if name in CLASSES else {argument: PUBLIC[name].__doc__}
+            assert PARAMETER_UNITS[argument] in texts[argument]

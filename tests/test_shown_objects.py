@@ -174,7 +174,9 @@ def made_by_programs():
     yield vj.frequency_sweep(oscillator, gap=[1.0], frequency=[0.14, 0.15], max_periods=60)
     yield vj.periodic_response(oscillator(gap=10.0), frequency=frequency)
     yield vj.continue_response(oscillator(gap=10.0), frequency=(0.1, 0.2))
-    yield vj.single_contact_response(body, frequency=[0.14, 0.15, 0.16], contact_fraction=9)
+    yield vj.single_contact_response(
+        body, frequency=[0.14, 0.15, 0.16], contact_fraction=[0.1, 0.2, 0.3]
+    )
     yield vj.regimes(body, frequency=[0.14, 0.15], transient=20, periods=20)
 
 
