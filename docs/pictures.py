@@ -1,4 +1,4 @@
-"""Make docs/branch_and_sweep.png, docs/map.png and docs/explorer.png.
+"""Make docs/branch_and_sweep.png, docs/map.png, docs/explorer.png and docs/fit.png.
 
 python docs/pictures.py            some minutes, the map most of it
 python docs/pictures.py explorer   only these
@@ -60,7 +60,24 @@ def explorer():
     return view.figure()
 
 
-PICTURES = {"branch_and_sweep": branch_and_sweep, "map": amplitude_map, "explorer": explorer}
+def identification():
+    """Draw contact stiffness and damping found from a sweep with 2 % noise (truth: 5500 N/m)."""
+    sweep = vj.frequency_sweep(vj.default_rig(), frequency_ratio=np.linspace(0.9, 1.35, 46))
+    data = sweep.to_xarray()[["amplitude_ratio"]]
+    noise = np.random.default_rng(0).normal(size=data["amplitude_ratio"].shape)
+    data["amplitude_ratio"] = data["amplitude_ratio"] * (1 + 0.02 * noise)
+    measured = vj.read_measured_curve(data)
+    fit = vj.identify(vj.default_rig, measured, guess=dict(stiffness=4000.0, damping=1e-2))
+    print(fit)
+    return fit.plot()
+
+
+PICTURES = {
+    "branch_and_sweep": branch_and_sweep,
+    "map": amplitude_map,
+    "explorer": explorer,
+    "fit": identification,
+}
 
 if __name__ == "__main__":
     for name in sys.argv[1:] or PICTURES:
