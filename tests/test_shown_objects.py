@@ -177,7 +177,7 @@ def made_by_programs():
     yield vj.single_contact_response(
         body, frequency=[0.14, 0.15, 0.16], contact_fraction=[0.1, 0.2, 0.3]
     )
-    yield vj.regimes(body, frequency=[0.14, 0.15], transient=20, periods=20)
+    yield vj.regimes(body, frequency=[0.14, 0.15], transient=20, periods=40)
 
 
 @pytest.mark.long  # to compile

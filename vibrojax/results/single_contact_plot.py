@@ -130,6 +130,7 @@ class _Surface:
         places, good = places[kept], good[kept]
         points = Points(*(np.asarray(a)[kept] for a in points))
         reach = np.array([np.ptp(self.x), np.max(points.amplitude, initial=0.0, where=good)])
+        reach = np.where(reach > 0, reach, 1.0)  # 0 where no motion of this level is there
         for _ in range(HALVINGS):
             shown = np.stack([places[:, 1], points.amplitude], axis=1) / reach
             far = np.linalg.norm(np.diff(shown, axis=0), axis=1) > LONGEST
