@@ -105,7 +105,7 @@ for history, name, color, style in (
     loop.plot(np.where(touching, depth, np.nan), force, color=color, linestyle=style)
 over_time.set(xlabel="time (drive periods)", ylabel="contact force (N)")
 loop.set(xlabel="penetration (mm)", ylabel="contact force (N)")
-over_time.legend(loc="upper left")
+over_time.legend(loc="upper right")
 for axes in (over_time, loop):
     axes.grid(alpha=0.4)
 
@@ -131,7 +131,8 @@ for name, curve in curves.items():
 
 # %%
 figure, axes = plt.subplots(figsize=(9, 4.5), layout="constrained")
-for (name, curve), color in zip(curves.items(), ("#0060a8", "#d1590a"), strict=True):
+looks = ("#0060a8", 3.5), ("#d1590a", 1.5)
+for (name, curve), (color, width) in zip(curves.items(), looks, strict=True):
     for way, (marker, style) in enumerate(((">", "-"), ("<", "--"))):
         direction = curve.directions[way]
         axes.plot(
@@ -142,6 +143,7 @@ for (name, curve), color in zip(curves.items(), ("#0060a8", "#d1590a"), strict=T
             marker=marker,
             markevery=4,
             markersize=5,
+            linewidth=width,
             label=f"{name}, {direction}",
         )
 axes.set(xlabel="drive frequency over first natural frequency", ylabel="tip amplitude over drive")
