@@ -46,6 +46,13 @@ class Explorer:
     In a notebook with ipywidgets it shows itself with its sliders; elsewhere, and in a saved
     notebook, as a still picture. What the sliders say is in `values`; `system()` and `branch()`
     take it further.
+
+    Parameters:
+        tracer: makes the curve from the numbers.
+        sliders: ranges and starts, by name of the number.
+        labels: of the axes of the response, below and beside.
+        force: whether the contact force is what is drawn against frequency.
+        measured: points to be laid over.
     """
 
     def __init__(
@@ -58,7 +65,6 @@ class Explorer:
     ):
         self._tracer, self.sliders, self._labels = tracer, sliders, labels
         self._force = force
-        """Whether the contact force is what is drawn against frequency."""
         self._measured = measured
         self._start = {name: slider.value for name, slider in sliders.items()}
         self._panel: Any = None
@@ -95,14 +101,14 @@ class Explorer:
         return self.values | {name: float(value) for name, value in numbers.items()}
 
     def system(self, **numbers: float) -> AbstractSystem:
-        """Return the system with the numbers of the sliders, or others given by name.
+        """Return the system with the numbers of the sliders, or with other `numbers` by name (SI).
 
         Raises `ValueError` for a name that has no slider, or numbers that the function refuses.
         """
         return self._tracer.system(self._numbers(numbers))
 
     def curve(self, **numbers: float) -> LiveCurve:
-        """Return the curve that is drawn for these numbers (balance of 128 samples).
+        """Return the curve that is drawn for the sliders' or other `numbers` (128 samples).
 
         Raises `ValueError` as `system` does.
         """
@@ -110,7 +116,7 @@ class Explorer:
         return self._shown(self._tracer(chosen))
 
     def quick_curve(self, winds: bool, **numbers: float) -> LiveCurve:
-        """Return the curve, or where it winds (for `winds` at once) a quick look at it.
+        """Return the curve of `numbers`, or where it winds (for `winds` at once) a quick look.
 
         Raises `ValueError` as `system` does.
         """
@@ -127,14 +133,15 @@ class Explorer:
     def orbit(self, frequency: float, **numbers: float) -> LiveOrbit:
         """Return the orbit nearest to a frequency (ratio or Hz, as drawn).
 
-        Of several motions at one frequency it is the stable one of the largest response.
+        Of several motions at one frequency it is the stable one of the largest response. `numbers`
+        are others than the sliders show.
         Raises `ValueError` as `system` does, and where no curve was found.
         """
         curve = self.curve(**numbers)
         return orbit_at(curve, nearest_point(curve, frequency))
 
     def branch(self, **numbers: float) -> Branch:
-        """Return the exact branch (`continue_response`) with the numbers of the sliders.
+        """Return the exact branch (`continue_response`) of the sliders' or other `numbers`.
 
         Raises `ValueError` as `system` does.
         """
@@ -161,12 +168,16 @@ class Explorer:
         """Return the still picture as a matplotlib figure.
 
         `frequency` is that of the orbit drawn (ratio or Hz, as on the axis; by default the one of
-        the largest response). Raises `ValueError` as `system` does.
+        the largest response), `numbers` are others than the sliders show. Raises `ValueError` as
+        `system` does.
         """
         return self._still(frequency, numbers).figure
 
     def save(self, path: str, frequency: float | None = None, **numbers: float) -> None:
-        """Write the still picture to a file (PNG, SVG, PDF by its ending), as `figure` draws it."""
+        """Write the still picture to the file `path` (PNG, SVG, PDF by its ending).
+
+        `frequency` and `numbers` are those of `figure`. Raises `ValueError` as `system` does.
+        """
         self.figure(frequency, **numbers).savefig(path)
 
     def _still(self, frequency: float | None, numbers: dict[str, float]) -> "LivePicture":
@@ -205,7 +216,7 @@ class Explorer:
         return bundle
 
     def sentence(self, curve: LiveCurve, at: int | None, seconds: float) -> str:
-        """Say in words what is drawn."""
+        """Say in words what is drawn: the point `at` of the `curve`, and in how many `seconds`."""
         if at is None or not len(curve.frequency):
             return f"Nothing to draw here: {curve.ending.sentence}"
         unit = "" if self._tracer.axis == "frequency_ratio" else " Hz"

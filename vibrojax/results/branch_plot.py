@@ -135,7 +135,9 @@ def _key(unstable: bool, seen: set[str]) -> tuple[list[Any], list[str]]:
 def _lay_sweep(
     axes: Any, sweep: "FrequencyResponse", variable: str, lines: list[Any], labels: list[str]
 ) -> None:
-    colors = {"forward": "#d1590a", "backward": "#2a7f3f"}
+    # Filled and hollow: told apart without colour too.
+    colors = {"forward": "#d1590a", "backward": "black"}
+    faces = {"forward": "#d1590a", "backward": "white"}
     for k, direction in enumerate(sweep.directions):
         y = np.asarray(getattr(sweep, variable))[..., k, :].reshape(-1)
         x = np.asarray(sweep.frequencies)
@@ -145,6 +147,7 @@ def _lay_sweep(
             "marker": MARKERS[direction],
             "linestyle": "none",
             "color": colors[direction],
+            "markerfacecolor": faces[direction],
         }
         axes.plot(x, y, markersize=5, alpha=0.9, zorder=2, **style)
         lines.append(Line2D([], [], markersize=6, **style))

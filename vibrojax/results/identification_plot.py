@@ -154,6 +154,7 @@ def _curve(
 
 
 def amplitude_label(measured: MeasuredCurve) -> str:
+    """Return what the amplitudes of a measured curve are, with their unit, in lines."""
     signal = f"{'absolute ' * (measured.frame == 'absolute')}{measured.signal}"
     what = f"{signal.capitalize()}, {WORDS[measured.quantity]}"
     unit = "over drive amplitude" if measured.is_ratio else f"({measured.unit})"
