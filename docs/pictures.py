@@ -25,7 +25,7 @@ def branch_and_sweep():
     axes = figure.axes[0]
     for line in axes.lines:
         if line.get_marker() in ("<", ">"):  # tips show on both sides of the branch
-            line.set_markersize(8)
+            line.set_markersize(9)
     for point in branch.special_points:
         if point.kind == "fold":
             high = point.amplitude_ratio > 20
