@@ -108,8 +108,9 @@ for direction, row in zip(("upwards", "downwards"), diagram.period, strict=True)
     print(f", from {three.min():.2f} to {three.max():.2f} mm" if len(three) else "")
 
 # %% [markdown]
-# The window of period 3 is narrow: the base amplitude is among the numbers that the paper does not
-# print, and the printed regimes hold only near the inferred one.
+# Where the points stand in three groups, the motion still takes three drive periods for a round, but
+# it may have doubled its period, or be chaotic within the groups (an exponent above zero). At both
+# ends the groups dissolve. So the regimes hang on the base amplitude, which is not printed.
 #
 # ## From where
 # Starts with the pendulum straight, leaning by an angle and turning at a rate.

@@ -277,7 +277,7 @@ print(
 # - Keep the compilation cache. For short runs compiling is what costs.
 # - Leave the tolerance at its default, and tighten it where a number matters: with `ExactContact`
 #   that is nearly free.
-# - Look at the number of modes before anything else: in this rig it moves the result more than any
-#   setting of the solver.
+# - Look at the number of modes before anything else: in this rig one more moves the result
+#   more than any setting of the solver does at its default.
 # - For laws of your own check the rounding with `vj.check_resolution`.
 # - Batch.
