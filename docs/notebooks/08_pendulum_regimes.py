@@ -108,7 +108,7 @@ for direction, row in zip(("upwards", "downwards"), diagram.period, strict=True)
     print(f", from {three.min():.2f} to {three.max():.2f} mm" if len(three) else "")
 
 # %% [markdown]
-# Where the points stand in three groups, the motion still takes three drive periods for a round, but
+# Where the points stand in three groups, the motion still takes three drive periods a round, but
 # it may have doubled its period, or be chaotic within the groups (an exponent above zero). At both
 # ends the groups dissolve. So the regimes hang on the base amplitude, which is not printed.
 #
