@@ -157,4 +157,15 @@ every.plot()
 # `vj.fold_curves` follows single folds exactly in one number, and `03_maps` varies two numbers.
 
 # %% [markdown]
-# <!-- The explorer, vj.explore(rig, ...), goes here as the last cell. -->
+# ## Try it
+# With sliders, where the notebook runs: the response follows the numbers, and the mouse picks the
+# orbit. In a stored notebook this is a still picture.
+
+# %%
+vj.explore(
+    rig,
+    gap=(0.2e-3, 1e-3),
+    position=(0.3, 0.9),
+    stiffness=(500, 50000),
+    frequency_ratio=(0.85, 1.4),
+)

@@ -31,6 +31,7 @@ from PIL import Image
 FOLDER = Path(__file__).parent
 MOST_SECONDS = 900
 """For one cell, before it is taken for stuck."""
+WIDGET = "application/vnd.jupyter.widget-view+json"
 COLORS = 128
 """In a picture as it is stored: a third of the bytes, and no difference to the eye."""
 
@@ -101,12 +102,17 @@ def pictures(notebook: NotebookNode) -> int:
 
 
 def write(notebook: NotebookNode, target: Path) -> None:
-    """Write an executed notebook with smaller pictures and nothing that changes by itself."""
+    """Write an executed notebook with smaller pictures and nothing that changes by itself.
+
+    Widgets are left out: without their kernel they show nothing, and would hide the still picture.
+    """
     for output in (output for cell in notebook.cells for output in cell.get("outputs", ())):
         data = output.get("data", {})
+        data.pop(WIDGET, None)
         if "image/png" in data:
             data["image/png"] = _fewer_colors(data["image/png"])
-    notebook.metadata.pop("language_info", None)
+    for name in ("language_info", "widgets"):
+        notebook.metadata.pop(name, None)
     nbformat.write(notebook, target)
 
 

@@ -31,8 +31,8 @@ from vibrojax.response.tracing import Traced, free_motion, in_batches, take, tra
 from vibrojax.systems.base import AbstractSystem, as_arrays
 
 SAMPLES = 128
-CONVERGED = 1e-4
-"""Relative Newton correction at which a point counts as found."""
+CONVERGED = 1e-3
+"""Relative Newton correction at which a point counts as found; what is left is about its square."""
 QUICK_HARMONICS = 12
 MOST_QUICK_POINTS = 250
 """Points of a curve that may take no more than a tenth of a second."""

@@ -4,6 +4,7 @@ A whole matplotlib figure takes longer than the curve in it, so the empty axes a
 Limits grow when something leaves them and never shrink: what moves is the curve.
 """
 
+import functools
 import io
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
@@ -24,6 +26,8 @@ from vibrojax.results.plotting import COLORS, GREY, MARKERS
 
 SIZE, DPI = (11.0, 5.2), 100
 LABEL, SMALL = 12, 10
+SHADES = 24
+"""Of a colour, down to white: more would be too near to white to be told from it."""
 PLACES = 25
 """Frequencies at which a sweep has its marker."""
 BRANCH, ORBIT = "black", "#8a2be2"
@@ -234,10 +238,27 @@ class LivePicture:
         for line in self.lines.values():
             assert line.axes is not None
             line.axes.draw_artist(line)
+        size = self.canvas.get_width_height()
+        pixels = Image.frombuffer("RGBA", size, self.canvas.buffer_rgba(), "raw", "RGBA", 0, 1)
         stream = io.BytesIO()
-        picture = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3])
-        picture.save(stream, format="png", compress_level=1)
+        # With a palette it is coded in a sixth of the time.
+        few = pixels.convert("RGB").quantize(palette=_palette(), dither=Image.Dither.NONE)
+        few.save(stream, format="png", compress_level=1)
         return stream.getvalue()
+
+
+@functools.cache
+def _palette() -> Image.Image:
+    """Return the colours of all lines, each from its own down to white."""
+    names = (BRANCH, GREY, ORBIT, COLORS["forward"], COLORS["backward"])
+    shades = [
+        1 + share * (np.asarray(to_rgb(name)) - 1)
+        for name in names
+        for share in np.linspace(0.0, 1.0, SHADES)
+    ]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.round(255 * np.concatenate(shades)).astype(int).tolist())
+    return palette
 
 
 def _dress(axes: Axes, below: str, beside: str) -> None:
