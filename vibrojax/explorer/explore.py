@@ -13,7 +13,7 @@ from vibrojax.explorer.live_curve import CurveTracer
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.reading import read_measured_curve
 from vibrojax.response.sensor import Sensor
-from vibrojax.results.branch import axis_description
+from vibrojax.results.variables import axis_description
 from vibrojax.stepping.choice import is_exact
 from vibrojax.studies.continuation_axes import along_of
 from vibrojax.systems.base import AbstractSystem

@@ -10,7 +10,8 @@ from vibrojax.explorer.live_curve import CurveTracer, LiveCurve
 from vibrojax.explorer.live_orbit import LiveOrbit, orbit_at
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.response.continuation import Ending
-from vibrojax.results.branch import Branch, axis_description
+from vibrojax.results.branch import Branch
+from vibrojax.results.variables import axis_unit, named_value
 from vibrojax.systems.base import AbstractSystem
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class Explorer:
 
     def __repr__(self) -> str:
         moved = [
-            f"{name} {slider.low:g} to {slider.high:g} {_unit(name)}".rstrip()
+            f"{name} {slider.low:g} to {slider.high:g} {unit_of(name)}".rstrip()
             for name, slider in self.sliders.items()
         ]
         return f"Explorer({', '.join(moved)})\n  {NOTE}"
@@ -187,7 +188,7 @@ class Explorer:
         if len(curve.frequency):
             at = highest_stable(curve) if frequency is None else nearest_point(curve, frequency)
             picture.show_orbit(curve, orbit_at(curve, at), at)
-        picture.freeze(", ".join(f"{n} = {v:.4g} {_unit(n)}".rstrip() for n, v in chosen.items()))
+        picture.freeze(", ".join(named_value(n, float(f"{v:.4g}")) for n, v in chosen.items()))
         return picture
 
     @property
@@ -267,12 +268,13 @@ def kernel_is_live() -> bool:
     return hasattr(get_ipython(), "kernel")
 
 
-def _unit(name: str) -> str:
-    units = axis_description(name).get("units", "1")
-    return "" if units == "1" else units
+def unit_of(name: str) -> str:
+    """Return the unit of a number, or nothing where it has or is known by none."""
+    unit = axis_unit(name)
+    return "" if unit == "1" else unit
 
 
 def label_of_number(name: str) -> str:
     """Return the name of a number with its unit, where it is known."""
-    unit = _unit(name)
+    unit = unit_of(name)
     return f"{name} ({unit})" if unit else name

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from vibrojax.results.plotting import LABEL, SMALL, new_picture, outside_legend
+from vibrojax.results.variables import named_value
 
 if TYPE_CHECKING:
     from vibrojax.results.basins import Basins
@@ -63,7 +64,7 @@ def plot_basins(basins: "Basins", **selection: Any) -> Figure:
     axes.set_xlabel(told[0], fontsize=LABEL)
     axes.set_ylabel(told[1], fontsize=LABEL)
     if chosen:
-        title = ", ".join(f"{name} = {value:g}" for name, value in chosen.items())
+        title = ", ".join(named_value(name, value) for name, value in chosen.items())
         axes.set_title(title, fontsize=SMALL, loc="left")
     outside_legend(axes, handles, labels)
     return figure

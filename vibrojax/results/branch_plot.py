@@ -19,6 +19,7 @@ from vibrojax.results.plotting import (
     new_picture,
     outside_legend,
 )
+from vibrojax.results.variables import named_value
 
 if TYPE_CHECKING:
     from vibrojax.results.fold_curves import FoldCurve
@@ -81,7 +82,7 @@ def plot_branches(
     if len(drawn) > 1:
         for branch, shade in zip(drawn, shades, strict=True):
             lines.append(Line2D([], [], color=shade, linewidth=3))
-            labels.append(", ".join(f"{n} = {v:g}" for n, v in branch.labels.items()))
+            labels.append(", ".join(named_value(n, v) for n, v in branch.labels.items()))
     if sweep is not None:
         _lay_sweep(axes, sweep, variable, lines, labels)
     axes.set_xlabel(_axis_label(first.axis), fontsize=LABEL)

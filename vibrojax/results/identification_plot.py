@@ -30,6 +30,7 @@ from vibrojax.results.plotting import (
     outside_legend,
 )
 from vibrojax.results.profile import Profile
+from vibrojax.results.variables import named_value
 
 FITTED = "#222222"
 DASHES = (0, (4, 2))
@@ -108,7 +109,7 @@ def _title(fit: Identification, measurement: int) -> str:
     count = len(fit.measured)
     parts = [f"measurement {measurement + 1} of {count}"] if count > 1 else []
     parts += [measured.label] if measured.label else []
-    parts += [f"{name} = {value:g}" for name, value in measured.parameters.items()]
+    parts += [named_value(name, value) for name, value in measured.parameters.items()]
     return textwrap.shorten(", ".join(parts), 85, placeholder=" …")
 
 

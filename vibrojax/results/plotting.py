@@ -20,7 +20,7 @@ from vibrojax._checks import nearest
 from vibrojax.modes import Modes
 from vibrojax.results.frequency_response import FrequencyResponse
 from vibrojax.results.status import Status
-from vibrojax.results.variables import VARIABLES
+from vibrojax.results.variables import VARIABLES, named_value
 
 SIZE, DPI = (10.0, 6.4), 150  # inches and dots per inch: 1500 pixels wide
 LABEL, SMALL = 13, 11  # points
@@ -93,7 +93,7 @@ def plot_frequency_response(
     axes.set_xlabel(label_of(response.axis), fontsize=LABEL)
     axes.set_ylabel(label_of(variable, response.ratio_units), fontsize=LABEL)
     if chosen:
-        title = ", ".join(f"{name} = {value:g}" for name, value in chosen.items())
+        title = ", ".join(named_value(name, value) for name, value in chosen.items())
         axes.set_title(title, fontsize=LABEL, loc="left")
     return figure
 

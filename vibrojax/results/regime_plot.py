@@ -17,6 +17,7 @@ from vibrojax.results.branch import axis_description
 from vibrojax.results.plotting import DPI, GREY, LABEL, SMALL, Picture, new_picture
 from vibrojax.results.regime_dataset import description, pick
 from vibrojax.results.regime_kinds import Regime
+from vibrojax.results.variables import named_value
 
 if TYPE_CHECKING:
     from vibrojax.results.regimes import Regimes
@@ -69,9 +70,7 @@ def two_panels(heights: tuple[float, float] = (1.0, 1.0)) -> tuple[Picture, tupl
 
 def titled(axes: Axes, chosen: dict[str, Any]) -> None:
     """Write above the axes what was picked."""
-    told = [
-        f"{n} = {v:g}" if isinstance(v, int | float) else f"{n} = {v}" for n, v in chosen.items()
-    ]
+    told = [named_value(n, v) for n, v in chosen.items()]
     if told:
         axes.set_title(", ".join(told), fontsize=LABEL, loc="left")
 
@@ -262,9 +261,7 @@ def plot_poincare(regimes: "Regimes", **selection: Any) -> Figure:
 
 
 def _told(chosen: dict[str, Any]) -> list[str]:
-    return [
-        f"{n} = {v:g}" if isinstance(v, int | float) else f"{n} = {v}" for n, v in chosen.items()
-    ]
+    return [named_value(n, v) for n, v in chosen.items()]
 
 
 def plot_order_spectrum(regimes: "Regimes", **selection: Any) -> Figure:

@@ -1,6 +1,6 @@
 """Every output variable once: its unit and its long name."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Variable(NamedTuple):
@@ -118,6 +118,13 @@ def described_as(name: str, ratio_units: str = "1") -> dict[str, str]:
 def axis_unit(axis: str) -> str:
     """Return the unit of a parameter; 1 for names that only the user's function knows."""
     return VARIABLES[axis].units if axis in VARIABLES else PARAMETER_UNITS.get(axis, "1")
+
+
+def named_value(name: str, value: Any) -> str:
+    """Return a number with its name and unit, as titles and legends show it."""
+    unit = axis_unit(name)
+    shown = f"{value:g}" if isinstance(value, int | float) else str(value)
+    return f"{name} = {shown}" + (f" {unit}" if unit != "1" else "")
 
 
 def axis_description(axis: str) -> dict[str, str]:
