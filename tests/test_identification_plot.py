@@ -170,7 +170,7 @@ def test_units_and_contact_force():
     assert force.get_ylabel() == "Largest contact force (N)"
     assert residuals.get_xlabel() == "Drive frequency (Hz)"
     assert "forward fold 10.8 Hz" in texts(top)
-    assert top.get_title(loc="left") == "run 3, gap = 0.0004"
+    assert top.get_title(loc="left") == "run 3, gap = 0.0004 m"
 
 
 def test_force_alone():

@@ -144,9 +144,9 @@ def test_nothing_jumps_and_everything_diverged():
 
 def test_one_axis_is_lines_of_colours():
     many = response(axes={"gap": [1e-4, 3e-4]})
-    assert legend(many.plot())[:2] == ["gap = 0.0001", "gap = 0.0003"]
+    assert legend(many.plot())[:2] == ["gap = 0.0001 m", "gap = 0.0003 m"]
     one = many.plot(gap=2.7e-4)
-    assert one.axes[0].get_title("left") == "gap = 0.0003"
+    assert one.axes[0].get_title("left") == "gap = 0.0003 m"
     assert legend(one) == ["forward sweep", "backward sweep"]
 
 
@@ -162,7 +162,7 @@ def test_axes_that_are_left_are_named():
         both.plot()
     figure = both.plot(taper=0.52)
     assert figure.axes[0].get_title("left") == "taper = 0.5"
-    assert legend(figure)[:2] == ["gap = 0.0001", "gap = 0.0003"]
+    assert legend(figure)[:2] == ["gap = 0.0001 m", "gap = 0.0003 m"]
 
 
 @pytest.mark.parametrize("variable", CURVES)

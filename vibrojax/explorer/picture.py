@@ -238,10 +238,7 @@ class LivePicture:
         for line in self.lines.values():
             assert line.axes is not None
             line.axes.draw_artist(line)
-        size = self.canvas.get_width_height()
-        pixels = Image.frombuffer(
-            "RGBA", size, bytes(self.canvas.buffer_rgba()), "raw", "RGBA", 0, 1
-        )
+        pixels = Image.fromarray(np.asarray(self.canvas.buffer_rgba()))
         stream = io.BytesIO()
         # With a palette it is coded in a sixth of the time.
         few = pixels.convert("RGB").quantize(palette=_palette(), dither=Image.Dither.NONE)

@@ -314,7 +314,7 @@ def _family(
             if direction in lane.jumps:
                 _draw_jump(axes, lane, direction, shade)
     lines = [] if many else [Line2D([], [], color=shade, linewidth=3) for shade in shades]
-    labels = [] if many else [f"{name} = {v:g}" for v in values]
+    labels = [] if many else [named_value(name, float(v)) for v in values]
     _from_zero(axes, variable)
     grey = dict.fromkeys(directions, GREY)
     _legend(axes, response.directions, lanes, directions, grey, (lines, labels))
