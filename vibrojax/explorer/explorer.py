@@ -159,7 +159,8 @@ class Explorer:
         from vibrojax.explorer.picture import LivePicture
 
         tracer = self._tracer
-        picture = LivePicture((tracer.low, tracer.high), *self._labels)
+        rows = 2 if self._measured else 1
+        picture = LivePicture((tracer.low, tracer.high), *self._labels, rows=rows)
         for measured, values in self._measured:
             picture.lay_measured(measured, values)
         picture.legend()

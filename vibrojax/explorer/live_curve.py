@@ -31,8 +31,9 @@ from vibrojax.response.tracing import Traced, free_motion, in_batches, take, tra
 from vibrojax.systems.base import AbstractSystem, as_arrays
 
 SAMPLES = 128
-CONVERGED = 1e-3
-"""Relative Newton correction at which a point counts as found; what is left is about its square."""
+CONVERGED = (1e-3, 1e-4, 1e-8)
+"""Relative Newton correction at which a point counts as found (what is left is about its square),
+and where the next one is then not found."""
 QUICK_HARMONICS = 12
 MOST_QUICK_POINTS = 250
 """Points of a curve that may take no more than a tenth of a second."""
@@ -185,27 +186,47 @@ class CurveTracer(eqx.Module):
         arrays = {name: jnp.asarray(value, float) for name, value in numbers.items()}
         ratio = self.axis == "frequency_ratio"
         path = jax.device_get(_path(self.make, self.static, arrays, ratio, self.exact))
-        start = np.array([self.low])
+        traced = self._follow(path, 1, harmonics, max_points)
+        if not len(traced.parameter):
+            # Where contact is heavy at the low end, free motion is no guess; at the high end it is.
+            back = self._follow(path, -1, harmonics, max_points)
+            traced = back._replace(
+                parameter=back.parameter[::-1],
+                depth=back.depth[::-1],
+                direction=-back.direction[::-1],
+            )
+        return path, traced
+
+    def _follow(
+        self, path: FrequencyPath, way: int, harmonics: int | None, max_points: int
+    ) -> Traced:
+        """Trace from the low end upwards (`way` 1) or from the high end downwards (-1)."""
+        low, high = np.array([self.low]), np.array([self.high])
+        start = low if way > 0 else high
         scale = (self.high - self.low) / 0.5
         settings = Settings(
             start=start,
-            low=start,
-            high=np.array([self.high]),
-            direction=np.ones(1),
-            scale=np.array([min(1.0, scale) if ratio else scale]),
-            tolerance=np.asarray(CONVERGED),
+            low=low,
+            high=high,
+            direction=np.array([float(way)]),
+            scale=np.array([min(1.0, scale) if self.axis == "frequency_ratio" else scale]),
+            tolerance=np.asarray(CONVERGED[0]),
             longest=np.asarray(LONGEST_STEP),
         )
         guess = free_motion(path, start, SAMPLES, 1)
-        (traced,) = trace_branches(
-            path,
-            settings,
-            begin(guess, start),
-            samples=SAMPLES,
-            harmonics=harmonics,
-            max_points=max_points,
-        )
-        return path, traced
+        tried = []
+        for tolerance in CONVERGED:
+            tried += trace_branches(
+                path,
+                settings._replace(tolerance=np.asarray(tolerance)),
+                begin(guess, start),
+                samples=SAMPLES,
+                harmonics=harmonics,
+                max_points=max_points,
+            )
+            if tried[-1].ending is not Ending.stuck or not len(tried[-1].parameter):
+                break
+        return tried[-1]
 
     def _read(self, path: FrequencyPath, traced: Traced, harmonics: int | None) -> LiveCurve:
         count = len(traced.parameter)

@@ -35,13 +35,18 @@ DASHES = (0, (4, 2))
 
 
 class LivePicture:
-    """A figure whose lines move. Pixels of the empty axes are kept between two drawings."""
+    """A figure whose lines move. Pixels of the empty axes are kept between two drawings.
 
-    def __init__(self, x: tuple[float, float], x_label: str, y_label: str):
+    `x` is the range of the frequency, `rows` are those of the key.
+    """
+
+    def __init__(self, x: tuple[float, float], x_label: str, y_label: str, rows: int = 1):
+        self._rows = rows
         self.figure = Figure(figsize=SIZE, dpi=DPI)
         self.canvas = FigureCanvasAgg(self.figure)
+        left, top = 0.065 + 0.02 * y_label.count("\n"), 0.95 - 0.05 * rows
         grid = self.figure.add_gridspec(
-            2, 2, width_ratios=(1.7, 1), left=0.065, right=0.985, bottom=0.14, top=0.9, hspace=0.45
+            2, 2, width_ratios=(1.7, 1), left=left, right=0.985, bottom=0.14, top=top, hspace=0.45
         )
         self.response = self.figure.add_subplot(grid[:, 0])
         self.portrait = self.figure.add_subplot(grid[0, 1])
@@ -101,7 +106,7 @@ class LivePicture:
                     measured.frequency[at],
                     values[at],
                     marker={1: "^", -1: "v"}.get(way, "s"),
-                    markersize=5,
+                    markersize=8,
                     color=GREY,
                     markerfacecolor="#c8c8c8",
                     linestyle="none",
@@ -125,7 +130,7 @@ class LivePicture:
             words,
             loc="upper left",
             bbox_to_anchor=(0.05, 1.0),
-            ncols=len(words),
+            ncols=-(-len(words) // self._rows),
             fontsize=SMALL,
             frameon=False,
             columnspacing=1.2,

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.explorer.live_curve import LiveCurve
+from vibrojax.response.continuation import Ending
 
 MOST_PIECES = 60
 
@@ -37,6 +38,8 @@ def swept_curve(curve: LiveCurve, way: int) -> Sweep:
     """
     frequency, response, stable = curve.frequency, curve.response, curve.stable
     pieces, jumps = [], []
+    if way < 0 and curve.ending is not Ending.completed:
+        return Sweep(pieces, jumps)  # where the range ends, the branch was not found
     last = _first(frequency, stable, way)
     while last is not None and len(pieces) < MOST_PIECES:
         index, at_fold = _onwards(frequency, stable, last, way)
