@@ -149,7 +149,7 @@ def test_histories_go_on_from_where_another_ended(beam):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", [*(pytest.param(n, marks=pytest.mark.long) for n in SMOOTH), "rubber"]
+    "name", [pytest.param(n, marks=pytest.mark.long) for n in (*SMOOTH, "rubber")]
 )
 def test_sweep_shooting_and_balance_find_the_same_motion(beam, name):
     system = beam(LAWS[name])

@@ -188,6 +188,7 @@ def test_a_wrong_model_is_noticed(rig, name):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_shared_and_private_numbers(make, name):
     curves = [measured(6, name=name, label="a"), measured(7, name=name, label="b")]
     fit = vj.identify(make, curves, GUESS | dict(gap=0.4e-3), private=("gap",))

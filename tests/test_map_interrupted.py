@@ -133,7 +133,7 @@ def forked(environment):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 1])
 def test_killed_again_and_again_a_map_ends_as_if_nothing_had_been(tmp_path, forked, whole, seed):
     choice = random.Random(seed)
     store = tmp_path / "map.zarr"
@@ -185,6 +185,7 @@ def test_ctrl_c_ends_a_map_and_the_same_call_continues_it(tmp_path, environment,
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_several_devices_share_the_chunks(tmp_path, environment, whole):
     # The second device compiles while the first one runs. The program ends itself if that hangs.
     devices = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "MAP_PAUSE": "0.2"}

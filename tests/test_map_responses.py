@@ -186,7 +186,9 @@ def test_no_derivative_where_there_is_no_steady_state():
     assert lost.any()
 
 
-@pytest.mark.slow  # to compile
+@pytest.mark.slow
+@pytest.mark.long
+# to compile
 def test_a_measure_that_jax_cannot_trace_is_told_so():
     with pytest.raises(UserWarning, match="'numpy_only' cannot be differentiated"):
         vj.parameter_map(

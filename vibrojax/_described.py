@@ -86,3 +86,8 @@ def described(module: Any) -> str:
         return f"{name}({line})"
     below = [f"  {part}: " + text.replace("\n", "\n  ") for part, text in shown]
     return "\n".join([f"{name}({', '.join(numbers)})", *below])
+
+
+def recipe(value: Any) -> str:
+    """Return the text from which Python makes the value again, as files keep it."""
+    return eqx.tree_pformat(value) if isinstance(value, eqx.Module) else repr(value)

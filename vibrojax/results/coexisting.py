@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from vibrojax._described import recipe
 from vibrojax.results.variables import described_as
 from vibrojax.systems.base import AbstractSystem
 
@@ -140,7 +141,7 @@ class Coexisting(eqx.Module):
             ),
             self.axis: ((), self.value, described_as(self.axis)),
         }
-        title = {"title": "vibrojax coexisting motions", "rig": repr(self.system)}
+        title = {"title": "vibrojax coexisting motions", "rig": recipe(self.system)}
         return xarray.Dataset(data, coordinates, attrs=title)
 
     def __repr__(self) -> str:

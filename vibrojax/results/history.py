@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from vibrojax._checks import check_choice, is_traced
+from vibrojax._described import recipe
 from vibrojax.results.quantities import (
     QUANTITIES,
     STRAIN_POWER,
@@ -332,7 +333,7 @@ class History(eqx.Module):
             along: (along, np.arange(1, self.coordinates.shape[1] + 1), described_as(along)),
             "stop": ("stop", np.arange(1, self.contact_force.shape[1] + 1), described_as("stop")),
         }
-        attributes = {"status": Status(int(self.status)).name, "rig": repr(self.system)}
+        attributes = {"status": Status(int(self.status)).name, "rig": recipe(self.system)}
         return xarray.Dataset(data, coordinates, attrs=attributes)
 
     def plot(self, quantity: str = "displacement", position: ArrayLike | None = None) -> "Figure":

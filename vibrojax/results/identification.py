@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vibrojax._described import recipe
+
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
@@ -250,7 +252,7 @@ class Identification:
             "objective": self.asked.objective,
             "warnings": "\n".join(self.warnings),
             "notes": "\n".join(self.notes),
-            "rig": repr(self.system()),
+            "rig": recipe(self.system()),
             "vibrojax_version": version("vibrojax"),
             "jax_version": version("jax"),
         }

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax._checks import check_needed_arguments, name_of, nearest
+from vibrojax._described import recipe
 from vibrojax.systems.base import AbstractSystem
 
 
@@ -61,7 +62,7 @@ def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[
                 f"Unknown argument {next(iter(axes))!r}. To sweep a number of the rig, pass a "
                 "function that makes the rig from named numbers, in place of the rig itself."
             )
-        return Lanes(stacked([system]), system, {}, repr(system))
+        return Lanes(stacked([system]), system, {}, recipe(system))
     if not callable(system):
         raise ValueError(f"system must be a system or a function that makes one, got {system!r}.")
     parameters = inspect.signature(system).parameters.values()
@@ -86,4 +87,4 @@ def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[
     for one in made:
         if not isinstance(one, AbstractSystem):
             raise ValueError(f"{name_of(system)} must return a system, got {one!r}.")
-    return Lanes(stacked(made), made[0], swept, repr(made[0]))
+    return Lanes(stacked(made), made[0], swept, recipe(made[0]))

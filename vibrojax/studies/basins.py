@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from vibrojax._checks import check_choice, check_count, check_not_negative, check_range, nearest
+from vibrojax._described import recipe
 from vibrojax.results.basins import Basins
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
@@ -118,7 +119,7 @@ def basins(
         attributes={
             "title": "vibrojax basins of attraction",
             "rig": lanes.description,
-            "method": repr(chosen),
+            "method": recipe(chosen),
             "settings": repr(plan),
             axis: repr(grid.tolist()),
             "starts": starts if starts == "grid" else f"random, seed {seed}",

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vibrojax._checks import check_needed_arguments, check_positive, name_of, nearest
+from vibrojax._described import recipe
 from vibrojax.response.methods import check_balance
 from vibrojax.studies.frequency_sweep import check_drive
 from vibrojax.systems.base import (
@@ -142,7 +143,7 @@ def along_of(
         frequency=frequency_value,
         is_ratio=name == "frequency_ratio",
         sample=sample,
-        description=repr(sample),
+        description=recipe(sample),
     )
 
 

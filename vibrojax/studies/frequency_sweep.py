@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from vibrojax._checks import check_choice, check_count, check_frequencies, check_range, concrete
+from vibrojax._described import recipe
 from vibrojax.results.frequency_response import FrequencyResponse
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
@@ -164,7 +165,7 @@ def _result(lanes: Lanes, plan: SweepPlan, swept: Swept) -> FrequencyResponse:
         attributes={
             "title": "vibrojax frequency sweep",
             "rig": lanes.description,
-            "method": repr(plan.method),
+            "method": recipe(plan.method),
             "vibrojax_version": version("vibrojax"),
             "jax_version": version("jax"),
         },

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from vibrojax._checks import check_count, check_positive, nearest
+from vibrojax._described import recipe
 from vibrojax.studies.frequency_sweep import frequency_axis
 from vibrojax.studies.maps import store as stores
 from vibrojax.studies.maps.chunks import Chunks
@@ -223,7 +224,7 @@ def _settings(spec: MapSpec, maker: RigMaker) -> dict[str, Any]:
             d.name: {n: v.tolist() for n, v in d.values.items()} for d in spec.arguments.dimensions
         },
         "axis_order": [d.name for d in spec.arguments.dimensions],
-        "fixed": {n: repr(v) for n, v in spec.arguments.fixed.items()},
+        "fixed": {n: recipe(v) for n, v in spec.arguments.fixed.items()},
         "frequency": {"axis": spec.grid.axis, "values": spec.grid.values.tolist()},
         "single_frequency": spec.grid.single,
         "response": spec.response.recipe,
@@ -250,7 +251,7 @@ def _attributes(spec: MapSpec, sample: AbstractSystem, settings: dict[str, Any])
     others = [name for name in spec.template.coordinates if name not in dims]
     attributes = {
         "title": "vibrojax parameter map",
-        "rig": repr(sample),
+        "rig": recipe(sample),
         "rig_source": source_of(spec.make),
         "call": _call(spec),
         "vibrojax_version": settings["vibrojax_version"],
@@ -272,7 +273,7 @@ def _call(spec: MapSpec) -> str:
         if len(d.values) > 1:
             inside = f"{d.name}=vj.zipped({inside})"
         parts.append(inside)
-    parts += [f"{n}={v!r}" for n, v in spec.arguments.fixed.items()]
+    parts += [f"{n}={recipe(v)}" for n, v in spec.arguments.fixed.items()]
     parts.append(f"{spec.grid.axis}={values[0] if spec.grid.single else values!r}")
     settings = spec.response.recipe
     parts.append(f"response=vj.{settings}")

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from vibrojax._checks import check_count, check_positive
+from vibrojax._described import recipe
 from vibrojax.results.regimes import Regimes
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
@@ -227,7 +228,7 @@ def attributes_of(
     return {
         "title": title,
         "rig": lanes.description,
-        "method": repr(method),
+        "method": recipe(method),
         "transient": f"{strobe.transient} drive periods",
         "periods": f"{strobe.periods} drive periods",
         "max_period": f"{strobe.max_period} drive periods",

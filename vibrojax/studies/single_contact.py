@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_range, concrete
+from vibrojax._described import recipe
 from vibrojax.drive import AbstractDrive
 from vibrojax.response.single_contact import (
     check_single_stop,
@@ -105,7 +106,7 @@ def single_contact_response(
         contact_free_amplitude_ratio=np.asarray(free),
         attributes={
             "title": "vibrojax single-contact response",
-            "rig": repr(system),
+            "rig": recipe(system),
             "vibrojax_version": version("vibrojax"),
             "jax_version": version("jax"),
         },

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from vibrojax._checks import check_count, check_range
+from vibrojax._described import recipe
 from vibrojax.response.continuation import LONGEST_STEP
 from vibrojax.response.methods import HarmonicBalance
 from vibrojax.results.branch import CURVES, Branch
@@ -108,7 +109,7 @@ class ContinuationCurve(AbstractMapResponse):
             max_points=self.max_points,
             longest_step=self.longest_step,
             ratio_units=sample.drive.reference[1],
-            description=repr(sample),
+            description=recipe(sample),
         )
         paths = frequency_paths(maker.systems(index), grid.axis == "frequency_ratio", exact)
         branches = BranchWork(plan, paths).run()
