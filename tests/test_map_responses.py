@@ -187,8 +187,7 @@ def test_no_derivative_where_there_is_no_steady_state():
 
 
 @pytest.mark.slow
-@pytest.mark.long
-# to compile
+@pytest.mark.long  # to compile
 def test_a_measure_that_jax_cannot_trace_is_told_so():
     with pytest.raises(UserWarning, match="'numpy_only' cannot be differentiated"):
         vj.parameter_map(
