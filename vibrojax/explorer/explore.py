@@ -1,5 +1,6 @@
 """An interactive frequency response: sliders for the numbers of a rig."""
 
+import dataclasses
 import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,9 +14,9 @@ from vibrojax.explorer.live_curve import CurveTracer
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.reading import read_measured_curve
 from vibrojax.response.sensor import Sensor
-from vibrojax.results.variables import axis_description
 from vibrojax.stepping.choice import is_exact
 from vibrojax.studies.continuation_axes import along_of
+from vibrojax.studies.identification.curve_misfit import sensor_of
 from vibrojax.systems.base import AbstractSystem
 
 QUANTITIES = {
@@ -97,40 +98,30 @@ def explore(
             at = fixed | starts | {name: end}
             sample = along_of(make_system, *_frequencies(axis, low, high), at).sample
     assert sample is not None
+    from vibrojax.results.plotting import label_of
+
     force = variable == "contact_force"
     sensor = Sensor(quantity=QUANTITIES[variable], with_force=True)
-    y_label = _label(variable, sample.drive.reference[1])
+    y_label = label_of(variable, sample.drive.reference[1])
     if points:
         first = points[0]
         force = first.amplitude is None
-        y_label = _label("contact_force")
+        y_label = label_of("contact_force")
         if not force:
             from vibrojax.results.identification_plot import amplitude_label
 
             y_label = amplitude_label(first)
-            sensor = Sensor(
-                quantity=first.quantity,
-                signal=first.signal,
-                is_ratio=first.is_ratio,
-                absolute=first.frame == "absolute",
-                with_force=True,
-            )
+            sensor = dataclasses.replace(sensor_of(first), with_force=True)
     drawn = tuple(
         Measurement(m, np.asarray(m.contact_force if force else m.amplitude)) for m in points
     )
     tracer = CurveTracer(make_system, fixed, axis, low, high, sensor, is_exact(sample))
-    return Explorer(tracer, sliders, (_label(axis), y_label), force, drawn)
+    return Explorer(tracer, sliders, (label_of(axis), y_label), force, drawn)
 
 
 def _frequencies(axis: str, low: float, high: float) -> tuple[Any, Any]:
     """Return the two arguments of a continuation."""
     return ((low, high), None) if axis == "frequency_ratio" else (None, (low, high))
-
-
-def _label(name: str, ratio_units: str = "1") -> str:
-    told = axis_description(name)
-    units = ratio_units if told["units"] == "ratio" else told["units"]
-    return told["long_name"] if units == "1" else f"{told['long_name']} ({units})"
 
 
 def _slider(make_system: Callable[..., AbstractSystem], name: str, value: tuple) -> Slider:

@@ -16,6 +16,8 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax.response.balanced_motion import kicked_monodromy
 from vibrojax.response.condensed import (
+    Balance,
+    Problem,
     balance,
     cell_average,
     condensed_problem,
@@ -27,6 +29,7 @@ from vibrojax.response.continuation import LONGEST_STEP, Ending, Settings, begin
 from vibrojax.response.orbit_reading import find_crossings
 from vibrojax.response.paths import FrequencyPath, Place, frequency_path
 from vibrojax.response.sensor import Sensor, observe
+from vibrojax.response.special_points import parabola_vertex
 from vibrojax.response.tracing import Traced, free_motion, in_batches, take, trace_branches
 from vibrojax.systems.base import AbstractSystem, as_arrays
 
@@ -72,17 +75,29 @@ class LiveCurve(NamedTuple):
         for k in turns:
             way = np.sign(self.direction[k])
             at = int(k if way * self.frequency[k] >= way * self.frequency[k + 1] else k + 1)
-            found.append((at, float(_vertex(self.frequency[max(at - 1, 0) : at + 2]))))
+            near = self.frequency[max(at - 1, 0) : at + 2].tolist()
+            found.append((at, parabola_vertex(*near) if len(near) == 3 else near[-1]))
         return found
 
 
-def _vertex(values: np.ndarray) -> float:
-    """Extreme of the parabola through three points at equal distances."""
-    if len(values) < 3:
-        return values[-1]
-    before, middle, after = values
-    bend = before - 2 * middle + after
-    return middle - (after - before) ** 2 / (8 * bend) if bend else middle
+class Balanced(NamedTuple):
+    """A motion of a live curve as the balance sees it."""
+
+    place: Place
+    problem: Problem
+    per_second: Float[Array, ""]
+    """Samples."""
+    balance: Balance
+
+
+def balanced_at(path: FrequencyPath, depth, frequency) -> Balanced:
+    """Evaluate the balance of a motion with this spectrum of averaged depth."""
+    samples = 2 * (depth.shape[-1] - 1)
+    place = path.at(frequency)
+    w = place.angular_frequency
+    per_second = samples * w / (2 * jnp.pi)
+    problem = condensed_problem(place.equations, place.drive, w, samples=samples)
+    return Balanced(place, problem, per_second, balance(problem, depth, per_second, samples))
 
 
 @eqx.filter_jit
@@ -121,15 +136,10 @@ def _contact_monodromy(path: FrequencyPath, place: Place, depth, force):
 @eqx.filter_jit
 def _glance(paths: FrequencyPath, depth, frequency, sensor: Sensor):
     """What the sensor shows, the largest force and the leading multiplier of some motions."""
-    samples = 2 * (depth.shape[-1] - 1)
     path = take(paths, 0)
 
     def one(depth, frequency):
-        place = path.at(frequency)
-        w = place.angular_frequency
-        per_second = samples * w / (2 * jnp.pi)
-        problem = condensed_problem(place.equations, place.drive, w, samples=samples)
-        at = balance(problem, depth, per_second, samples)
+        place, problem, per_second, at = balanced_at(path, depth, frequency)
         shown, force = observe(sensor, place, problem, at.force, depth, 1)
         if path.phases is None:
             matrix = kicked_monodromy(place, at, 1 / per_second)

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vibrojax.explorer.live_curve import LiveCurve
-from vibrojax.response.condensed import balance, cell_average, condensed_problem, differentiate
+from vibrojax.explorer.live_curve import LiveCurve, balanced_at
+from vibrojax.response.condensed import cell_average, differentiate
 from vibrojax.response.tracing import take
 
 FINER = 4
@@ -32,13 +32,9 @@ class LiveOrbit(NamedTuple):
 
 @eqx.filter_jit
 def _waves(paths, depth, frequency):
-    path = take(paths, 0)
-    place = path.at(frequency)
+    place, problem, per_second, at = balanced_at(take(paths, 0), depth, frequency)
     samples = 2 * (depth.shape[-1] - 1)
-    w, average = place.angular_frequency, cell_average(samples, depth.shape[-1])
-    problem = condensed_problem(place.equations, place.drive, w, samples=samples)
-    per_second = samples * w / (2 * jnp.pi)
-    at = balance(problem, depth, per_second, samples)
+    average = cell_average(samples, depth.shape[-1])
     push = jnp.einsum("bk,bk->k", problem.receptance.response_from_force, at.force / average)
     tip, motion = problem.response_drive + push, depth / average
     rows = jnp.concatenate(

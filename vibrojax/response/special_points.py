@@ -213,6 +213,12 @@ def _narrow(kind, place, parameter, multipliers):
     return lost
 
 
+def parabola_vertex(before: float, middle: float, after: float) -> float:
+    """Return the extreme of the parabola through three values at equal distances."""
+    bend = before - 2 * middle + after
+    return middle - (after - before) ** 2 / (8 * bend) if bend else middle
+
+
 def _vertex(place, parameter, fallback):
     """Place of the extreme of a parabola through the best sample and its neighbours."""
     good = np.isfinite(parameter)

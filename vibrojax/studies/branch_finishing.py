@@ -11,7 +11,13 @@ import numpy as np
 from vibrojax.response.balanced_motion import read_all
 from vibrojax.response.exact_point import ExactPoint, Guess
 from vibrojax.response.paths import AbstractPath
-from vibrojax.response.special_points import Bracket, brackets_of, first_touches, refine
+from vibrojax.response.special_points import (
+    Bracket,
+    brackets_of,
+    first_touches,
+    parabola_vertex,
+    refine,
+)
 from vibrojax.response.tracing import Traced, exact_from, make_exact, take
 from vibrojax.results.branch import Branch, SpecialPoint
 from vibrojax.studies.continuation_paths import references
@@ -291,9 +297,8 @@ def _unrefined(bracket: Bracket, columns: Columns) -> SpecialPoint:
     """Point of a balanced branch: the vertex of a parabola, or the middle of a step."""
     values, at = columns["parameter"], bracket.at
     if bracket.kind == "fold":
-        y = values[at - 1 : at + 2]
-        bend = y[0] - 2 * y[1] + y[2]
-        parameter = y[1] - (y[2] - y[0]) ** 2 / (8 * bend) if bend else y[1]
+        y = values[at - 1 : at + 2].tolist()
+        parameter = parabola_vertex(*y)
     else:
         parameter = (values[at] + values[at + 1]) / 2
     return SpecialPoint(

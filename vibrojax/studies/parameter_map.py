@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import ArrayLike
@@ -242,7 +241,7 @@ def _identity(system: AbstractSystem) -> str:
     for leaf in jax.tree.leaves(system):
         digits.update(np.asarray(leaf).tobytes())
     # Not its repr, which is for people and may change: a store is known by this text.
-    return f"{eqx.tree_pformat(system)} {digits.hexdigest()[:16]}"
+    return f"{recipe(system)} {digits.hexdigest()[:16]}"
 
 
 def _attributes(spec: MapSpec, sample: AbstractSystem, settings: dict[str, Any]) -> dict[str, Any]:

@@ -56,6 +56,17 @@ def _put(whole, at, part):
     return whole
 
 
+def sensor_of(measured: MeasuredCurve) -> Sensor:
+    """Return the sensor that shows what was measured."""
+    return Sensor(
+        quantity=measured.quantity if measured.amplitude is not None else None,
+        signal=measured.signal,
+        is_ratio=measured.is_ratio,
+        absolute=measured.frame == "absolute",
+        with_force=measured.contact_force is not None,
+    )
+
+
 class CurveMisfit:
     """Misfit of a measured curve, as a function of the numbers of the user's function.
 
@@ -77,13 +88,7 @@ class CurveMisfit:
         self.objective = objective
         self.unit = 1.0
         """Frequency that a frequency scale refers to: the first natural one, or 1 for ratios."""
-        self.sensor = Sensor(
-            quantity=first.quantity if first.amplitude is not None else None,
-            signal=first.signal,
-            is_ratio=first.is_ratio,
-            absolute=first.frame == "absolute",
-            with_force=first.contact_force is not None,
-        )
+        self.sensor = sensor_of(first)
         self.is_ratio = first.frequency_name == "frequency_ratio"
         self.frequency = np.stack([m.frequency for m in repetitions])
         self.direction = np.stack([m.direction for m in repetitions])
