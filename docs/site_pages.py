@@ -13,6 +13,7 @@ from pathlib import Path
 
 import griffe
 from mkdocs.structure.files import File
+from mkdocs.structure.toc import get_toc
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -24,6 +25,8 @@ OUTSIDE = ("CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md", "experimen
 """Pages of the site that are not under docs/, as patterns from the root."""
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\]|!\[[^\]]*\]\([^)]*\))*)\]\(([^()\s]+)\)")
 FENCE = re.compile(r"^(```.*?^```[ ]*$)", re.MULTILINE | re.DOTALL)
+HEADING = re.compile(r'<h([1-6]) id="([^"]+)">(.*?)<a class="anchor-link"', re.DOTALL)
+"""Of a notebook."""
 NAME = re.compile(r"(?<![\[`])`(?:vj\.|vibrojax\.)?(\w+)((?:\.\w+)?(?:\([^`]*\))?)`(?![\]`])")
 
 
@@ -127,6 +130,21 @@ def on_page_markdown(markdown, page, config, files):
                 part = NAME.sub(lambda found: _to_reference(found, known, uri), part)
             parts[k] = part
     return "".join(parts)
+
+
+def on_page_content(html, page, config, files):
+    """Make the contents of a notebook from its headings: mkdocs-jupyter leaves out code in them."""
+    if page.file.src_uri.endswith(".ipynb"):
+        found, above = [], []
+        for level, anchor, text in HEADING.findall(html):
+            name = re.sub(r"<[^>]+>", "", text)
+            token = {"level": int(level), "id": anchor, "name": name, "children": []}
+            while above and above[-1]["level"] >= token["level"]:
+                above.pop()
+            (above[-1]["children"] if above else found).append(token)
+            above.append(token)
+        page.toc = get_toc(found)
+    return html
 
 
 def _on_the_site(found, path, uri, files, inner=False):

@@ -99,7 +99,7 @@ def test_dataset_and_picture(diagram):
         ({"frequency": 0.2, "gap": [1.1, 1.0]}, "gap must increase strictly, got 1.1 then 1.0"),
         ({"frequency": 0.2, "gap": [1.0, 1.1], "damping": [0.1, 0.2]}, "say which the motion"),
         ({"frequency": 0.2, "direction": "up"}, "direction must be one of"),
-        ({"frequency": 0.2, "start": [0.0]}, r"states \(q, q'\) of shape \(starts, 2\)"),
+        ({"frequency": 0.2, "start": [0.0]}, r"start must be .* of shape \(2,\), got"),
         ({"frequency": 0.2, "periods": 10}, "periods must be a whole number of at least 32"),
     ],
 )

@@ -122,6 +122,24 @@ def test_a_column_that_is_left_out(asked):
     assert asked["measured"].size == 94
 
 
+def test_what_is_ambiguous_is_asked_about_in_options(capsys, asked):
+    write_curve("forces.csv", header="ratio,peak_ratio,force (N)")
+    assert run("fit", "forces.csv") == 2
+    told = capsys.readouterr().err
+    for choice in ("--columns contact_force='force (N)'", "--columns contact_force=none"):
+        assert choice in told
+    Path("comma.csv").write_text("ratio;peak_ratio\n0,9;1,250\n1;2,500\n1,1;1,250\n")
+    assert run("fit", "comma.csv") == 0
+    np.testing.assert_allclose(asked["measured"].amplitude, [1.25, 2.5, 1.25])
+    Path("doubt.csv").write_text("ratio;peak_ratio\n1;1,250\n2;2,500\n3;1,250\n")
+    assert run("fit", "doubt.csv") == 2
+    assert "Give --decimal '.' or --decimal ','." in capsys.readouterr().err
+    assert run("fit", "doubt.csv", "--decimal", ".") == 0
+    np.testing.assert_allclose(asked["measured"].amplitude, [1250, 2500, 1250])
+    assert run("fit", str(Path.cwd())) == 2
+    assert "is a folder: give the path of a file" in capsys.readouterr().err
+
+
 def test_the_function_takes_what_is_fitted():
     system = vj.default_rig()
     make = cli_fit.rig_function(system, ["stiffness", "gap", "taper", "damping_ratio", "amplitude"])
@@ -212,9 +230,8 @@ def test_tyro_refuses_with_the_same_code(capsys, asked, arguments):
     assert asked == {}
 
 
-def test_a_failure_while_writing_leaves_nothing(folder, monkeypatch, capsys, asked):
+def test_a_failure_while_writing_is_one_line(folder, monkeypatch, capsys, asked):
     def fail(self, path):
-        path.with_suffix(".json").write_text("half")
         raise OSError(28, "No space left on device", "fit.png")
 
     monkeypatch.setattr(Found, "save", fail)

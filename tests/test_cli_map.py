@@ -355,6 +355,11 @@ def test_what_the_map_itself_refuses_is_one_line(folder, capsys):
         (["--axis", "gap=-1e-3,1e-3"], "gap must be at least 0 m"),
         (["--axis", "gap=1e-3,1e-3"], "gap has the value 0.001 twice"),
         (["--axis", "gap=1e-3,2e-3", "--measures", "jump"], "Unknown measure 'jump'"),
+        (
+            ["--axis", "gap=1:2:1000000000000"],
+            "gap must be a whole number of at most 1,000,000, got",
+        ),
+        (["--axis", "gap=1:2:1000000", "width=1:2:1000000"], "must be at most 1,000,000,000, got"),
     ):
         assert run("map", *words) == 2
         err = capsys.readouterr().err
@@ -416,7 +421,7 @@ def test_a_real_map(folder, capsys):
     assert err.count("\n") <= 1 or "map: 100%" in err  # the progress bar
     made = ["map.png", "map.toml", "map.zarr", "map_summary.png", "rig.toml"]
     assert left(folder) == made
-    with xarray.open_zarr("map.zarr", consolidated=False) as first:
+    with xarray.open_zarr("map.zarr") as first:
         peak = first["peak_amplitude_ratio"].values
         assert first["amplitude_ratio"].dims == ("gap", "direction", "frequency_ratio")
         assert f"{peak.max():.5g}" in out
@@ -430,7 +435,7 @@ def test_a_real_map(folder, capsys):
     assert "1 were in the store, 1 computed now" in capsys.readouterr().out
     assert run("map", *command) == 0
     assert "2 were in the store, nothing was left to compute" in capsys.readouterr().out
-    with xarray.open_zarr("map.zarr", consolidated=False) as again:
+    with xarray.open_zarr("map.zarr") as again:
         np.testing.assert_array_equal(again["peak_amplitude_ratio"], peak)
     assert run("map", *command, "--tolerance", "1e-5") == 2
     assert "was made with other settings. response" in capsys.readouterr().err

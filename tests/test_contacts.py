@@ -283,7 +283,7 @@ def test_refusals(oscillator):
         history.peak("force")
     with pytest.raises(ValueError, match="start must be at most"):
         history.peak(start=2.0)
-    with pytest.raises(ValueError, match="one place"):
+    with pytest.raises(ValueError, match="position must be one number"):
         history.peak(position=np.array([0.5, 1.0]))
     lanes = jax.tree.map(lambda a: jnp.stack([a, a]) if eqx.is_array(a) else a, history)
     for ask in ("contacts", "peak", "energy"):

@@ -160,6 +160,38 @@ def test_resampled_dataset(rig_branch, resampled):
             rig_branch.resample(wrong)
 
 
+def check_ends(branch):
+    """The ends of the range are the ends of the branch, and resampling gives them back."""
+    assert branch.completed
+    assert (branch.values[0], branch.values[-1]) == branch.range
+    assert branch.values.min() == branch.range[0]
+    assert branch.values.max() == branch.range[1]
+    ends = branch.resample(branch.range)
+    assert ends.amplitude_ratio.values[0, 0] == branch.amplitude_ratio[0]
+    last = np.isfinite(ends.amplitude_ratio.values[1]).sum() - 1
+    assert ends.amplitude_ratio.values[1, last] == branch.amplitude_ratio[-1]
+    np.testing.assert_array_equal(ends.initial_state.values[1, last], branch.initial_state[-1])
+
+
+def test_branches_end_at_the_ends_of_their_range(rig):
+    rigs = [
+        (dict(gap=0.15e-3, stiffness=4.7e3, taper=0.2), (0.7156803, 1.0149318)),
+        (dict(gap=0.2e-3, damping=0.02), (1.1, 1.3)),
+        (dict(gap=0.3e-3, stiffness=1.1e4), (0.8585197, 1.1437899)),
+        (dict(gap=0.1e-3, stiffness=1e3), (0.9203, 1.3969113)),
+    ]
+    for numbers, span in rigs:
+        check_ends(vj.continue_response(rig(**numbers), frequency_ratio=span))
+
+
+@pytest.mark.slow
+def test_branches_along_another_number_end_at_the_ends_of_its_range(rig):
+    def small(gap):
+        return rig(num_modes=1, gap=gap)
+
+    check_ends(vj.continue_response(small, frequency_ratio=1.1, gap=(1.3e-4, 9.7e-4)))
+
+
 def test_new_numbers_do_not_compile_again(rig, rig_branch, resampled):
     compiled = []
     jax.monitoring.register_event_duration_secs_listener(
@@ -179,7 +211,7 @@ def test_new_numbers_do_not_compile_again(rig, rig_branch, resampled):
 def test_another_number_of_the_rig(rig_branch, along_gap):
     """Branches along the gap and along the frequency meet where both have the same rig."""
     assert along_gap.axis == "gap"
-    assert along_gap.completed
+    check_ends(along_gap)
     assert along_gap.residual.max() < 1e-9
     here = along_gap.resample([0.4e-3])
     there = rig_branch.resample([1.15])
@@ -310,7 +342,7 @@ def test_start_inside_the_range(rig, rig_branch):
     """From the upper motion at 1.15 the branch is followed both ways."""
     upper = vj.periodic_response(rig(), frequency_ratio=1.15, guess=_upper(rig_branch, 1.15))
     both = vj.continue_response(rig(), frequency_ratio=RANGE, start=upper)
-    assert both.completed
+    check_ends(both)
     np.testing.assert_allclose(both.folds, rig_branch.folds, atol=1e-7)
     np.testing.assert_allclose(both.grazings, rig_branch.grazings, atol=1e-9)
     assert (np.diff(both.arclength) > 0).all()
@@ -353,7 +385,10 @@ def build(gap=0.4e-3, stiffness=5500.0):
         ),
         ({"frequency_ratio": 1.0, "gap": (1e-3, 1e-3)}, "gap = (0.001, 0.001) is a range without"),
         ({"frequency_ratio": 1.0, "gap": (1e-3, "x")}, "gap must be a range of two numbers"),
-        ({"frequency_ratio": 1.0, "gaap": (1e-4, 1e-3)}, "Unknown argument 'gaap'. Did you mean"),
+        (
+            {"frequency_ratio": 1.0, "gaap": (1e-4, 1e-3)},
+            "Unknown argument 'gaap' of the rig. Did you mean",
+        ),
         ({"frequency_ratio": RANGE, "gap": []}, "gap must be a non-empty list of finite numbers"),
         ({"frequency_ratio": RANGE, "gap": [np.nan]}, "gap must be a non-empty list of finite"),
         ({"frequency_ratio": RANGE, "period": 0}, "period must be"),

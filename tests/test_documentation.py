@@ -211,3 +211,17 @@ def test_citation_is_of_this_version():
     assert citation["cff-version"] == "1.2.0"
     assert str(citation["version"]) == vj.__version__
     assert len(citation["references"]) == 3
+
+
+def test_dead_links_of_a_built_site_are_found(tmp_path):
+    (tmp_path / "index.html").write_text(
+        '<h1 id="a">A</h1><a href="#a">1</a><a href="#b">2</a><a href="sub/#c%20d">3</a>'
+        '<img src="sub/picture.png"><a href="/sub/index.html#e">4</a><a href="https://x.y/#z">5</a>'
+    )
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "index.html").write_text('<p id="c d"></p><a href="..#a">6</a>')
+    assert module_of("check_links").dead_links(tmp_path) == [
+        "index.html: #b",
+        "index.html: /sub/index.html#e",
+        "index.html: sub/picture.png",
+    ]

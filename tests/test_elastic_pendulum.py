@@ -125,14 +125,14 @@ def test_numbers_of_the_pendulum_can_be_traced():
     ("change", "words"),
     [
         ({"limiter_height": 0.25}, "limiters.height must be above 0 .* 0.195 m .*got 0.25"),
-        ({"limiter_height": -0.01}, "height must be above 0 m .*got -0.01"),
-        ({"limiter_height": 0.0}, "height must be above 0 m"),
+        ({"limiter_height": -0.01}, "limiter_height must be above 0 m, got -0.01"),
+        ({"limiter_height": 0.0}, "limiter_height must be above 0 m"),
         ({"limiter_distance": 0.0}, "distance must be above 0 m"),
         ({"num_links": 1}, "num_links must be a whole number of at least 2, got 1"),
         ({"num_links": -3}, "num_links must be a whole number"),
         ({"length": 0.0}, "length must be above 0 m"),
         ({"tip_mass": -1e-3}, "tip_mass must be at least 0 kg"),
-        ({"joint_damping_time": -1.0}, "joint_damping must be at least 0"),
+        ({"joint_damping_time": -1.0}, "joint_damping_time must be at least 0"),
         ({"bearing_damping": np.nan}, "bearing_damping must be at least 0"),
     ],
 )

@@ -331,7 +331,7 @@ def test_stops_on_either_side(rig):
     [
         ({"tolerance": 0.0}, "tolerance must be above 0 and at most 0.1, got 0.0"),
         ({"tolerance": 0.5}, "tolerance must be above 0 and at most 0.1, got 0.5"),
-        ({"tolerance": math.nan}, "tolerance must be above 0 and at most 0.1, got nan"),
+        ({"tolerance": math.nan}, "tolerance must be a finite number, got nan"),
         ({"steps_per_period": 3}, "steps_per_period must be a whole number of at least 4, got 3"),
     ],
 )

@@ -256,7 +256,7 @@ def test_saved_and_loaded(curve, tmp_path):
         assert {k: np.asarray(v).tolist() for k, v in loaded[name].attrs.items()} == {
             k: np.asarray(v).tolist() for k, v in ds[name].attrs.items()
         }
-    with pytest.raises(OSError, match=r"no_such_folder"):
+    with pytest.raises(ValueError, match=r"no_such_folder"):
         curve.save(tmp_path / "no_such_folder" / "sweep.nc")
     assert [p.name for p in tmp_path.iterdir()] == ["sweep.nc"]
 

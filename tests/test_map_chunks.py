@@ -72,8 +72,8 @@ def test_axes_in_the_order_of_the_call():
         ((), {"gap": []}, "gap is an empty axis: give at least one value"),
         ((), {"gap": [1e-4, np.nan]}, "gap must be finite, got nan"),
         ((), {"gap": [1e-4, 2e-4, 1e-4]}, "gap has the value 0.0001 twice"),
-        ((), {"gap": [[1e-4]]}, "gap must be one value or a list, got 2 axes"),
-        ((), {"gap": [None]}, "gap must be a list of numbers or of texts"),
+        ((), {"gap": [[1e-4]]}, "gap must be one value, or a list of numbers or of texts, got"),
+        ((), {"gap": [None]}, "gap must be one value, or a list of numbers or of texts"),
         (([1.0],), {}, "Positional arguments after the function must be vj.zipped"),
     ],
 )

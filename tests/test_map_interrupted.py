@@ -45,7 +45,7 @@ def assert_same_store(store, reference):
     mine, other = files_of(store), files_of(reference)
     assert sorted(mine) == sorted(other)
     assert [name for name in mine if mine[name] != other[name]] == []
-    datasets = (xarray.open_zarr(path, consolidated=False).load() for path in (store, reference))
+    datasets = (xarray.open_zarr(path).load() for path in (store, reference))
     xarray.testing.assert_identical(*datasets)
 
 
@@ -317,7 +317,7 @@ def test_death_while_clearing_away_what_was_half_created_is_mended_too(
     for again in itertools.count():
         store = shutil.copytree(first, tmp_path / "here" / f"{again}")
         assert died(death, again, store)
-        cleared = not files_of(store)
+        cleared = list(files_of(store)) == ["vibrojax/lock"]
         small_map(store, lanes=4)
         assert_same_store(store, small)
         if cleared:
@@ -591,7 +591,7 @@ def test_a_store_of_another_format_is_refused(tmp_path):
     store = tmp_path / "map"
     small_map(store)
     rewrite(store, format=99, vibrojax_version="9.9", axes={})
-    with pytest.raises(ValueError, match=r"has format 99 \(vibrojax 9.9\).*writes format 1"):
+    with pytest.raises(ValueError, match=r"has format 99 \(vibrojax 9.9\).*writes format 2"):
         small_map(store)
 
 

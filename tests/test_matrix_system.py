@@ -338,8 +338,8 @@ def test_without_stops_and_drive():
     [
         ({"mass": np.ones((2, 3))}, r"mass must be a square matrix, shape \(2, 2\), got"),
         ({"mass": 1.0}, "mass must be a square matrix"),
-        ({"mass": "heavy"}, "mass must be an array of numbers, got 'heavy'"),
-        ({"mass": [[1.0, 0.0], [0.0]]}, "mass must be an array of numbers"),
+        ({"mass": "heavy"}, "mass must be a number or an array of numbers, got 'heavy'"),
+        ({"mass": [[1.0, 0.0], [0.0]]}, "mass must be a number or an array of numbers"),
         ({"mass": np.diag([1.0, 0.0])}, r"mass must be positive definite, got 0 at index \(1, 1\)"),
         ({"mass": [[1.0, 0.1], [0.2, 1.0]]}, r"mass must be symmetric, got 0\.1 at index \(0, 1\)"),
         ({"damping": np.eye(3)}, r"damping must be of the shape of mass, shape \(2, 2\), got"),

@@ -157,7 +157,7 @@ def test_noise_given_is_kept_and_floors_hold():
         (dict(signal="acceleration"), "is_ratio must be False .* m/s2"),
         (dict(direction=np.array([1, 2])), "direction must be 1, -1 or 0"),
         (dict(direction=np.array([1, 1, 1])), "direction has 3 entries"),
-        (dict(parameters={"gap": np.nan}), "gap must be a finite number"),
+        (dict(parameters={"gap": np.nan}), r"parameters\['gap'\] must be a finite number"),
     ],
 )
 def test_what_is_no_curve_is_refused(changed, message):
@@ -221,7 +221,7 @@ def test_mega_is_not_milli():
 def test_a_file_with_all_columns(tmp_path):
     path = write(
         tmp_path,
-        "# a rig\nfrequency [rad/s],Tip [mm],sd [%],dir,Force [mN],contact_force_sd [N]\n"
+        "# a rig\nfrequency [rad/s],Tip [mm],sd [%],dir,Contact force [mN],contact_force_sd [N]\n"
         "62.83185307179586,2.0,5,up,100,0.01\n# pause\n125.66370614359172,3.0,5,DOWN,200,0.01\n",
     )
     curve = read_measured_curve(path, quantity="peak", parameters=dict(gap=0.4e-3))
@@ -308,7 +308,7 @@ def test_columns_by_position_and_name(tmp_path):
         (["f_Hz", "tip_mm"], dict(quantity="mean"), "quantity must be one of"),
         (["f_Hz", "tip_mm"], dict(direction="sideways"), "direction must be"),
         (["f_Hz", "tip_mm"], dict(split="gap"), "no column 'gap'"),
-        (["f_Hz", "force_N", "sd"], {}, "column for deviation, but none for amplitude"),
+        (["f_Hz", "contact_force_N", "sd"], {}, "column for deviation, but none for amplitude"),
         (["f_Hz", "tip_mm", "sd", "weight"], {}, "weight and a deviation"),
     ],
 )
@@ -397,7 +397,7 @@ def test_directions_given():
 
 def test_relative_deviations_at_zero():
     curve = read_measured_curve(
-        {"r": [0.9, 1.0], "force_N": [0.0, 10.0], "force_error": [0.1, 0.1]},
+        {"r": [0.9, 1.0], "impact_force_N": [0.0, 10.0], "force_error": [0.1, 0.1]},
         units=dict(contact_force_deviation="relative"),
     )
     np.testing.assert_allclose(curve.contact_force_deviation, [0.01, 1.0])
@@ -507,3 +507,13 @@ def test_data_frames_and_datasets():
     curve = read_measured_curve(dataset)
     np.testing.assert_allclose(curve.amplitude, [1e-3, 2e-3])
     np.testing.assert_allclose(curve.frequency, [10.0, 11.0])
+
+
+def test_a_curve_takes_lists_and_refuses_directions_that_are_no_numbers():
+    curve = MeasuredCurve([1.0, 1.1], "frequency", amplitude=[1, 2], direction=[1, -1])
+    np.testing.assert_array_equal(curve.direction, [1, -1])
+    np.testing.assert_array_equal(curve.amplitude, [1.0, 2.0])
+    for name in ("direction", "lines"):
+        for wrong in (np.array(["a", "b"]), np.array([1.5, np.nan])):
+            with pytest.raises(ValueError, match=f"{name} must be whole numbers"):
+                MeasuredCurve([1.0, 1.1], "frequency", amplitude=[1, 2], **{name: wrong})

@@ -39,7 +39,7 @@ def test_a_released_beam_is_never_settled():
         (dict(deviation={"velocity": 1.0}), "no channel 'velocity'"),
         (dict(deviation={"displacement": 0.0}), "deviation of displacement must be above 0"),
         (dict(window=(0.5, 0.4)), "window must be .* with 0; time runs from 0 to 1 s"),
-        (dict(parameters={"gap": np.inf}), "gap must be a finite number"),
+        (dict(parameters={"gap": np.inf}), r"parameters\['gap'\] must be a finite number"),
     ],
 )
 def test_what_is_no_history_is_refused(changed, message):

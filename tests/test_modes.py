@@ -319,5 +319,5 @@ def test_wrong_places_are_refused():
         found.shape([0.3, 1.2])
     with pytest.raises(ValueError, match=r"^derivative must be 0, 1, 2 or 3, got 4"):
         found.shape(0.5, derivative=4)
-    with pytest.raises(ValueError, match=r"^taper must be one number here.*\(2,\).*vmap"):
+    with pytest.raises(ValueError, match=r"^beam holds a batch.*taper.*\(2,\).*vmap"):
         modes(beam(jnp.array([0.1, 0.2])), 3)

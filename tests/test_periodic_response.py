@@ -468,7 +468,7 @@ def test_balance_refuses(settings, sentence):
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"solver": "Tsit5"}, r"^solver must be a diffrax solver, got 'Tsit5'"),
+        ({"solver": "Tsit5"}, r"^solver must be a diffrax solver .*got 'Tsit5'"),
         ({"steps_per_period": 8}, r"^steps_per_period must be a whole number of at least 16"),
         ({"max_steps": 0}, r"^max_steps must be"),
     ],

@@ -273,7 +273,7 @@ def test_one_or_several():
 
 @pytest.mark.parametrize("given", [0.01, [0.01], "heavy", None, {"mass": 0.01}])
 def test_what_is_no_point_mass_is_refused(given):
-    with pytest.raises(ValueError, match=r"^point_masses must hold PointMass objects, got "):
+    with pytest.raises(ValueError, match=r"^point_masses.* must be .*PointMass.*, got "):
         vj.Cantilever(**UNIT, point_masses=given)
 
 
@@ -298,7 +298,7 @@ def test_wrong_numbers_are_refused(mass, position, sentence):
 
 
 def test_arrays_are_for_vmap():
-    with pytest.raises(ValueError, match=r"^position of a point mass must be one number here"):
+    with pytest.raises(ValueError, match=r"^beam holds a batch, .* its position has the shape"):
         vj.modes(beam([0.1], [jnp.array([0.1, 0.2])]), 3)
 
 

@@ -188,7 +188,7 @@ def test_a_lane_that_is_lost_is_flagged_and_spares_the_others():
         ({"frequency": [0.2, 0.1]}, "frequency must increase strictly"),
         ({"frequency": 0.2, "periods": 30}, "periods must be a whole number of at least 40"),
         ({"frequency": 0.2, "tolerance": 0.0}, "tolerance must be above 0"),
-        ({"frequency": 0.2, "barrier": np.nan}, "barrier must be a displacement in m"),
+        ({"frequency": 0.2, "barrier": np.nan}, "barrier must be a finite number"),
         ({"frequency": 0.2, "starts": 0}, "starts must be a whole number"),
         ({"frequency": 0.2, "starts": [[0.0]]}, r"states \(q, q'\) of shape \(starts, 2\)"),
         ({"frequency": 0.2, "starts": 3, "start_size": -1.0}, "start_size must be above 0 m"),

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax._files import read_bytes
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "uniform_beam.toml"
 
+THREE = "{{start = 1e-4, end = 1e-3, points = {}}}"
 DEFAULT = """
 [beam]
 length = 0.2
@@ -182,6 +184,30 @@ def test_settings_go_into_a_sweep(tmp_path):
         ("[0.9, 1.2, 4]", '[0.9, 1.2, 4]\ndirection = "up"', r"\[sweep\] direction must be one"),
         ("[0.9, 1.2, 4]", "[0.9, 1.2, 4]\ntolerance = 0", r"\[sweep\] tolerance must be"),
         ("[beam]", "[beam", "is not TOML: .*line 2"),
+        (
+            "4]",
+            "1_000_000_000_000]",
+            "Points of .sweep. frequency_ratio must be a whole number of at most 1,000,000, got",
+        ),
+        ("0.018", "0.018\nnum_modes = 1_000_000_000_000", "num_modes must be at most 1,000, got 1"),
+        ("4]", "4]\nmax_period = 10_000_000", r"\[sweep\] max_period must be at most 1,000,000"),
+        (
+            "4]",
+            f"4]\n[map.axes]\ngap = {THREE.format(10**12)}",
+            "of .map.axes. gap must be a whole number of at most 1,000,000, got",
+        ),
+        (
+            "4]",
+            f"4]\n[[map.zipped]]\ngap = {THREE.format(10**12)}",
+            "number of at most 1,000,000, got",
+        ),
+        ("length = 0.2", f"length = {'[' * 1000}{']' * 1000}", "is nested too deeply"),
+        ("length = 0.2", f"length = {'{a=' * 1000}1{'}' * 1000}", "is nested too deeply"),
+        ("length = 0.2", f"length = {'[' * 90}{']' * 90}", r"length must be a number, got \[\[\["),
+        ("length = 0.2", f"length = 1{'0' * 400}", r"\[beam\] length must be a number, got 100"),
+        ("length = 0.2", f"length = {'9' * 5000}", "is not TOML: Exceeds the limit"),
+        ("length = 0.2", "length = 2026-01-01", "length must be a number, got 2026-01-01"),
+        ("[0.9, 1.2, 4]", f"[0.9, {10**30}, 4]\ntolerance = 0", r"\[sweep\] tolerance must be"),
     ],
 )
 def test_wrong_files(tmp_path, old, new, sentence):
@@ -202,8 +228,21 @@ def test_second_stop_is_named(tmp_path):
 def test_no_such_file(tmp_path):
     with pytest.raises(ValueError, match=r"nothing\.toml' does not exist"):
         vj.read_rig(tmp_path / "nothing.toml")
-    with pytest.raises(ValueError, match="cannot be read"):
+    with pytest.raises(ValueError, match="is a folder"):
         vj.read_rig(tmp_path)
+
+
+@pytest.mark.parametrize("path", [None, 3, b"rig.toml", ["rig.toml"], "", "x\0"])
+def test_what_is_no_path(path):
+    with pytest.raises(ValueError, match="Rig file must be the path of a file, got"):
+        read_bytes("Rig file", path)
+
+
+def test_a_file_with_a_byte_order_mark_and_one_too_large(tmp_path):
+    system, _ = vj.read_rig(write(tmp_path, "\ufeff" + DEFAULT))
+    assert same(system, vj.default_rig())
+    with pytest.raises(ValueError, match=r"is too large: 11 MB, at most 10 MB\."):
+        vj.read_rig(write(tmp_path, "#" * 11_000_000))
 
 
 def test_not_text(tmp_path):

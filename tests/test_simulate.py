@@ -163,6 +163,40 @@ def test_gradients_of_a_history_match_finite_differences():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("samples_per_period", [48, 50])
+def test_reverse_mode_goes_as_far_as_forward_mode(samples_per_period):
+    # An interval in period 91 takes 13 attempts, one more than reverse mode once had.
+    def run(gradient):
+        return vj.simulate(
+            vj.default_rig(),
+            frequency_ratio=1.1,
+            periods=150,
+            samples_per_period=samples_per_period,
+            gradient=gradient,
+        )
+
+    reverse, forward = run("reverse"), run("forward")
+    assert int(reverse.status) == vj.Status.completed.value
+    np.testing.assert_allclose(reverse.displacement(), forward.displacement(), atol=1e-11)
+
+
+@pytest.mark.slow
+def test_reverse_mode_matches_forward_mode_where_intervals_take_many_attempts():
+    def last(x, gradient):
+        rig = vj.default_rig(num_modes=1, gap=x[0] * 1e-3, stiffness=x[1] * 1e6)
+        run = vj.simulate(
+            rig, frequency_ratio=1.1, periods=3, samples_per_period=16, gradient=gradient
+        )
+        return run.displacement()[-1] * 1e3
+
+    point = jnp.array([0.3, 3.0])
+    reverse = jax.grad(lambda x: last(x, "reverse"))(point)
+    forward = jax.jacfwd(lambda x: last(x, "forward"))(point)
+    assert np.all(np.abs(np.asarray(reverse)) > 0)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-8)
+
+
+@pytest.mark.slow
 @pytest.mark.long  # minutes
 def test_gradients_nest_with_vmap():
     points = POINT * jnp.array([[1.0, 1.0, 1.0, 1.0], [1.02, 0.97, 1.1, 0.9]])

@@ -302,7 +302,7 @@ def test_dataset_and_picture(driven, tmp_path):
         ({"span": 2000.0}, r"span must be above 0 and at most 1296\.\d* Hz.*sampling_rate"),
         ({"span": 0}, "span must be above 0"),
         ({"start": 3.947}, r"start = 3\.947 s leaves \d samples, 9 are needed"),
-        ({"position": np.array([0.5, 1.0])}, "position must be one place"),
+        ({"position": np.array([0.5, 1.0])}, "position must be one number"),
     ],
 )
 def test_refusals(driven, arguments, sentence):

@@ -8,15 +8,24 @@ from pathlib import Path
 import pytest
 from wrong_calls import CALLS
 
-PROGRAM = Path(__file__).with_name("wrong_calls.py")
+HERE = Path(__file__).parent
+
+
+def answers_of(program, *arguments):
+    done = subprocess.run(
+        [sys.executable, HERE / program, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(done.stdout)
 
 
 @pytest.fixture(scope="module")
 def answers():
-    done = subprocess.run(
-        [sys.executable, PROGRAM], capture_output=True, text=True, check=True, timeout=300
-    )
-    return json.loads(done.stdout)
+    return answers_of("wrong_calls.py")
 
 
 @pytest.mark.parametrize("words", CALLS)
@@ -25,5 +34,15 @@ def test_wrong_calls_are_answered_by_a_sentence(answers, words):
     assert kind == "ValueError"
     assert by_vibrojax, "raised elsewhere"
     assert words.lower() in sentence.lower()
-    assert sentence[0].isupper() or sentence.split()[0].isidentifier() or "." in sentence.split()[0]
+    first = sentence.split()[0]
+    assert first[0].isupper() or first.partition("[")[0].isidentifier() or "." in first
     assert sentence.rstrip().endswith((".", ")", "'"))
+
+
+def test_junk_is_answered_by_a_sentence_that_names_the_argument():
+    assert not answers_of("junk_calls.py")
+
+
+@pytest.mark.slow
+def test_any_junk_for_any_argument_is_answered_by_a_sentence():
+    assert not answers_of("junk_calls.py", "all")

@@ -5,6 +5,11 @@ Importing vibrojax switches JAX to float64, unless the environment variable JAX_
 
 from types import ModuleType as _ModuleType
 
+from vibrojax import _interrupts as _interrupts
+
+# isort: split
+# Interrupts are watched before JAX is imported, which takes a while.
+from vibrojax import _forks as _forks
 from vibrojax import _precision as _precision
 from vibrojax.beam import Cantilever as Cantilever
 from vibrojax.beam import PointMass as PointMass
@@ -93,7 +98,9 @@ from vibrojax.studies.maps.periodic_points import PeriodicPoints as PeriodicPoin
 from vibrojax.studies.maps.planning import MapPlan as MapPlan
 from vibrojax.studies.maps.regime_sweep import RegimeSweep as RegimeSweep
 from vibrojax.studies.maps.responses import SettledSweep as SettledSweep
-from vibrojax.studies.maps.store import StoreFull as StoreFull
+from vibrojax.studies.maps.store_files import StoreFull as StoreFull
+from vibrojax.studies.maps.store_files import StoreInUse as StoreInUse
+from vibrojax.studies.maps.store_files import StoreReadOnly as StoreReadOnly
 from vibrojax.studies.parameter_map import parameter_map as parameter_map
 from vibrojax.studies.regimes import regimes as regimes
 from vibrojax.studies.resolution import check_resolution as check_resolution

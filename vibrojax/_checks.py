@@ -6,7 +6,6 @@ Only concrete values are checked: under `jit`, `vmap` or `grad` a value is a tra
 import difflib
 import inspect
 from collections.abc import Callable, Iterable
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -14,28 +13,22 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-
-def as_number(name: str, value: Any) -> Any:
-    """Convert `value` to a floating scalar (or leave a tracer or placeholder leaf as it is).
-
-    Raises `ValueError` when the value is not a number.
-    """
-    if value is None or isinstance(value, jax.Array | np.ndarray | np.generic):
-        return value
-    if isinstance(value, bool | str | bytes | list | tuple | dict):
-        raise ValueError(f"{name} must be a number, got {value!r}.")
-    if isinstance(value, int | float):
-        # A Python float keeps its weak type, so construction costs no device transfer.
-        return float(value)
-    return value
+from vibrojax._described import in_short
+from vibrojax._kinds import NUMBERS, is_list
 
 
-def number_field(name: str, units: str = "", **default: Any) -> Any:
+def as_number(value: Any) -> Any:
+    """Make a Python float of a whole number; leave arrays, and what JAX puts there, as they are."""
+    # A Python float keeps its weak type, so construction costs no device transfer.
+    return float(value) if isinstance(value, int) else value
+
+
+def number_field(units: str = "", **default: Any) -> Any:
     """Make a field of a Module that holds one number: sweepable, batchable, differentiable.
 
     The `units` are what the `repr` of the Module shows behind the number.
     """
-    return eqx.field(converter=partial(as_number, name), metadata={"units": units}, **default)
+    return eqx.field(converter=as_number, metadata={"units": units}, **default)
 
 
 def is_traced(value: Any) -> bool:
@@ -54,7 +47,7 @@ def concrete(value: Any) -> np.ndarray | None:
 
 def _refuse(name: str, value: Any, allowed: str, advice: str) -> None:
     tail = f" {advice}" if advice else ""
-    raise ValueError(f"{name} must be {allowed}, got {value!r}.{tail}")
+    raise ValueError(f"{name} must be {allowed}, got {in_short(value)}.{tail}")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -62,7 +55,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     known = list(known)
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"Did you mean {close[0]!r}? " if close else ""
-    return f"{hint}Known: {', '.join(known)}."
+    return f"{hint}Known: {', '.join(known) or 'nothing'}."
 
 
 def _shown(values: np.ndarray, bad: np.ndarray | np.bool_) -> Any:
@@ -81,8 +74,6 @@ def check_range(
     advice: str = "",
 ) -> None:
     """Raise `ValueError` unless every entry of `value` is finite and inside the interval."""
-    if isinstance(value, str | bytes):
-        _refuse(name, value, f"a number {allowed}", advice)
     values = concrete(value)
     if values is None:
         return
@@ -103,16 +94,42 @@ def check_not_negative(name: str, value: Any, unit: str, advice: str = "") -> No
     check_range(name, value, 0.0, allowed=f"at least 0 {unit}", advice=advice)
 
 
+def check_one(name: str, value: Any, unit: str, advice: str = "") -> None:
+    """Raise `ValueError` where there are several numbers, traced or not."""
+    if is_list(value):
+        _refuse(name, value, f"one number ({unit})", advice)
+
+
 def check_one_number(name: str, value: Any, unit: str, advice: str) -> None:
     """Raise `ValueError` unless the value is one finite number above 0, traced or not."""
-    if callable(value) or isinstance(value, list | tuple | dict | set) or np.ndim(value):
-        _refuse(name, value, f"one number ({unit})", advice)
+    check_one(name, value, unit, advice)
     check_positive(name, value, unit)
+
+
+def axis_of(name: str, values: Any) -> np.ndarray:
+    """Return a list of finite numbers as an array. Raises `ValueError` for anything else."""
+    known = NUMBERS.accepts(values) and not any(map(is_traced, jax.tree.leaves(values)))
+    axis = np.asarray(values, float) if known else np.empty(0)
+    if axis.ndim != 1 or not axis.size or not np.isfinite(axis).all():
+        _refuse(name, values, "a non-empty list of finite numbers", "")
+    return axis
 
 
 def name_of(function: Any) -> str:
     """Return what a sentence calls a function."""
     return f"The function {getattr(function, '__name__', type(function).__name__)}"
+
+
+def check_names(function: Callable[..., Any], given: Iterable[str], where: str = "") -> None:
+    """Raise `ValueError` for a name, given there, that a function does not take."""
+    parameters = inspect.signature(function).parameters.values()
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return
+    known = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    for name in given:
+        if name not in known:
+            told = f" in {where}" if where else ""
+            raise ValueError(f"Unknown argument {name!r} of the rig{told}. {nearest(name, known)}")
 
 
 def check_needed_arguments(function: Callable[..., Any], given: Iterable[str]) -> None:
@@ -140,10 +157,17 @@ def check_position(name: str, value: Any) -> None:
     )
 
 
-def check_count(name: str, value: Any, least: int = 1) -> None:
-    """Raise `ValueError` unless the value is a whole number of at least `least`."""
+def check_count(name: str, value: Any, least: int = 1, most: int = 10**9) -> None:
+    """Raise `ValueError` unless the value is a whole number from `least` to `most`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         _refuse(name, value, f"a whole number of at least {least}", "")
+    if value > most:
+        _refuse(name, value, f"a whole number of at most {most:,}", "")
+
+
+def check_seed(seed: Any) -> None:
+    """Raise `ValueError` unless random numbers can be drawn from the seed."""
+    check_count("seed", seed, least=0, most=2**63 - 1)
 
 
 def check_choice(name: str, value: Any, choices: tuple[Any, ...]) -> None:
@@ -158,13 +182,9 @@ def check_frequencies(name: str, values: Any, unit: str) -> np.ndarray:
 
     Raises `ValueError` otherwise.
     """
-    if isinstance(values, str | bytes):
+    if not NUMBERS.accepts(values):
         _refuse(name, values, f"a sequence of numbers ({unit})", "")
-    try:
-        axis = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        _refuse(name, values, f"a sequence of numbers ({unit})", "")
-        raise AssertionError from None
+    axis = np.asarray(values, dtype=float)
     if axis.ndim > 1:
         raise ValueError(f"{name} must be one-dimensional, got an array of shape {axis.shape}.")
     axis = np.atleast_1d(axis)

@@ -5,13 +5,14 @@ numbers. What JAX is tracing, and placeholders, show their shape.
 """
 
 import dataclasses
+import reprlib
+from types import FunctionType, ModuleType
 from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
-
-from vibrojax._checks import is_traced
+from jax.core import Tracer
 
 WIDTH = 100
 """Longest text that stays on one line."""
@@ -27,7 +28,7 @@ def shown_value(value: Any, units: str = "", exact: bool = True) -> str:
     tail = f" {units}" if units else ""
     if isinstance(value, bool | str | type(None)):
         return repr(value)
-    if is_traced(value) or isinstance(value, jax.ShapeDtypeStruct):
+    if isinstance(value, Tracer | jax.ShapeDtypeStruct):
         return f"<traced{f' {value.shape}' if value.shape else ''}>{tail}"
     if isinstance(value, int | float):
         return _digits(value, exact) + tail
@@ -86,6 +87,24 @@ def described(module: Any) -> str:
         return f"{name}({line})"
     below = [f"  {part}: " + text.replace("\n", "\n  ") for part, text in shown]
     return "\n".join([f"{name}({', '.join(numbers)})", *below])
+
+
+def in_short(value: Any) -> str:
+    """Return a value on one line of a sentence, however large it is, and whatever it is."""
+    kind = type(value).__name__
+    if isinstance(value, type | FunctionType | ModuleType):
+        kind = "class" if isinstance(value, type) else kind
+        return f"the {kind} {value.__name__}"
+    try:
+        if isinstance(value, eqx.Module | jax.Array | np.ndarray | np.generic):
+            text = shown_value(value)
+        else:
+            text = reprlib.repr(value)
+    except Exception:  # what cannot show itself, such as an integer of 5,000 digits
+        text = ""
+    if 0 < len(text) <= WIDTH and "\n" not in text and "object at 0x" not in text:
+        return text
+    return f"{'an' if kind[0] in 'AEIOUaeiou' or kind == 'ndarray' else 'a'} {kind}"
 
 
 def recipe(value: Any) -> str:

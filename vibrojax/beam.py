@@ -1,6 +1,6 @@
 """The cantilever: a clamped beam of constant thickness, tapered in width, with a tip mass."""
 
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -16,19 +16,20 @@ from vibrojax._checks import (
     check_range,
 )
 from vibrojax._described import described
+from vibrojax._signatures import validated
 
 
-def _number(name: str, value: Any) -> Any:
-    value = as_number(name, value)
-    if isinstance(value, np.generic):
-        return as_number(name, value.item())
-    return jnp.asarray(value) if isinstance(value, np.ndarray) else value
+def _number(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return jnp.asarray(value)
+    return as_number(value.item() if isinstance(value, np.generic) else value)
 
 
-def _field(name: str, units: str = "", **default: Any) -> Any:
-    return eqx.field(converter=partial(_number, name), metadata={"units": units}, **default)
+def _field(units: str = "", **default: Any) -> Any:
+    return eqx.field(converter=_number, metadata={"units": units}, **default)
 
 
+@validated
 class PointMass(eqx.Module):
     """A small mass fixed on the beam, such as an accelerometer, without rotary inertia.
 
@@ -38,9 +39,9 @@ class PointMass(eqx.Module):
     JAX is tracing are not checked.
     """
 
-    mass: float | Float[Array, "..."] = _field("mass", "kg")
+    mass: float | Float[Array, "..."] = _field("kg")
     """Mass, kg."""
-    position: float | Float[Array, "..."] = _field("position", default=1.0)
+    position: float | Float[Array, "..."] = _field(default=1.0)
     """Place s = x/L in (0, 1], the tip unless told otherwise."""
 
     def __check_init__(self) -> None:
@@ -52,10 +53,11 @@ class PointMass(eqx.Module):
         return described(self)
 
 
-def _as_tuple(given: Any) -> tuple[Any, ...]:
-    return tuple(given) if isinstance(given, list | tuple) else (given,)
+def _as_tuple(given: PointMass | Sequence[PointMass]) -> tuple[Any, ...]:
+    return (given,) if isinstance(given, PointMass) else tuple(given)
 
 
+@validated
 class Cantilever(eqx.Module):
     """A beam clamped at s = 0, its width b0 (1 - taper s) and its thickness constant, s = x/L.
 
@@ -68,19 +70,19 @@ class Cantilever(eqx.Module):
     is tracing are not checked.
     """
 
-    length: float | Float[Array, "..."] = _field("length", "m")
+    length: float | Float[Array, "..."] = _field("m")
     """Length L, m."""
-    width: float | Float[Array, "..."] = _field("width", "m")
+    width: float | Float[Array, "..."] = _field("m")
     """Width b0 at the root, m."""
-    thickness: float | Float[Array, "..."] = _field("thickness", "m")
+    thickness: float | Float[Array, "..."] = _field("m")
     """Thickness in the direction of motion, m."""
-    youngs_modulus: float | Float[Array, "..."] = _field("youngs_modulus", "Pa")
+    youngs_modulus: float | Float[Array, "..."] = _field("Pa")
     """Young's modulus E, Pa."""
-    density: float | Float[Array, "..."] = _field("density", "kg/m3")
+    density: float | Float[Array, "..."] = _field("kg/m3")
     """Density rho, kg/m3."""
-    taper: float | Float[Array, "..."] = _field("taper", default=0.0)
+    taper: float | Float[Array, "..."] = _field(default=0.0)
     """Taper mu in [0, 1): the width at the tip is b0 (1 - mu)."""
-    mass_ratio: float | Float[Array, "..."] = _field("mass_ratio", default=0.0)
+    mass_ratio: float | Float[Array, "..."] = _field(default=0.0)
     """Tip mass over rho A0 L with the area A0 at the ROOT, not over the mass of the beam."""
     point_masses: tuple[PointMass, ...] = eqx.field(converter=_as_tuple, default=())
     """Masses fixed on the beam besides the tip mass; one, or a list, becomes a tuple."""
@@ -104,9 +106,6 @@ class Cantilever(eqx.Module):
         check_not_negative(
             "mass_ratio", self.mass_ratio, "(tip mass / (density * root area * length))"
         )
-        for point_mass in self.point_masses:
-            if not isinstance(point_mass, PointMass):
-                raise ValueError(f"point_masses must hold PointMass objects, got {point_mass!r}.")
 
     @property
     def root_area(self) -> float | Float[Array, "..."]:

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -179,7 +179,7 @@ def map_numbers(
         Path,
         _option(
             "Zarr store (a folder) for the map, or none; one that is there is continued. Opens "
-            "with xarray.open_zarr(FOLDER, consolidated=False)",
+            "with xarray.open_zarr(FOLDER)",
             "FOLDER",
             "map.zarr",
         ),
@@ -283,7 +283,7 @@ def fit(
         tuple[str, ...],
         _option(
             "columns of the file, by name or position from 0 (none: leave out), as "
-            "frequency=f_Hz amplitude=2; also deviation, contact_force, direction",
+            "frequency=f_Hz amplitude=2; also deviation, contact_force, direction, real, imaginary",
             "NAME=COLUMN ...",
             "recognised by their names",
         ),
@@ -296,6 +296,10 @@ def fit(
             "those of the header",
         ),
     ] = (),
+    decimal: Annotated[
+        Literal[".", ","] | None,
+        _option("decimal sign of the file", "{.,,}", "told by its numbers, if they can"),
+    ] = None,
     quantity: Annotated[
         Literal["amplitude", "peak", "peak_to_peak", "rms", "first_harmonic"] | None,
         _option(
@@ -331,6 +335,7 @@ def fit(
     target("--output", data, (".json",))
     target("--output", picture, (".png",))
     from vibrojax import cli_fit
+    from vibrojax._interrupts import stoppable
     from vibrojax.studies.identify import identify
 
     if not fit or len(set(fit)) < len(fit):
@@ -340,11 +345,11 @@ def fit(
     make = cli_fit.rig_function(system, fit)
     first = cli_fit.guesses(system, fit, guess)
     within = cli_fit.bounds(fit, bounds)
-    measured = cli_fit.read_curve(curve, columns, units, quantity, frame)
+    measured = cli_fit.read_curve(curve, columns, units, quantity, frame, decimal)
     compiling = watch_compilation()
-    found = identify(make, measured, first, within, objective=objective, starts=starts)
+    found = stoppable(identify, make, measured, first, within, objective=objective, starts=starts)
     fitted = time.perf_counter()
-    cli_fit.save(found, data, picture)
+    found.save(data)
     whose = "the default rig (dimensions assumed)" if rig is None else str(rig)
     print(f"Fit of {whose} to {curve}")
     print("\n".join(f"  {line}" for line in repr(found).splitlines()))
@@ -359,11 +364,17 @@ COMMANDS = {"sweep": sweep, "map": map_numbers, "modes": modes, "fit": fit}
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    It is 0, 1 (files, or a map with chunks that failed), 2 (input) or 130 (Ctrl-C).
+    It is 0, 1 (files, or a map with chunks that failed), 2 (input) or 130 (Ctrl-C). Without `argv`
+    this is the process, which ends with it; then SIGTERM is like Ctrl-C, with 143.
 
     Wrong options, and `--help`, leave by `SystemExit` (2 and 0).
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        from vibrojax._interrupts import end_on_signals
+
+        with end_on_signals():
+            sys.exit(main(sys.argv[1:]))
+    arguments = list(argv)
     if arguments == ["--version"]:
         from importlib.metadata import version
 
@@ -380,15 +391,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         where = f": {error.filename}" if error.filename else ""
         print(f"vibrojax: {error.strerror or error}{where}.", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print(file=sys.stderr)
+    except KeyboardInterrupt as interrupt:
+        print(f"\nvibrojax: {interrupt}" if interrupt.args else "", file=sys.stderr)
         return 130
 
 
-def run() -> NoReturn:
-    """Run the command line as a process."""
-    sys.exit(main())
-
-
 if __name__ == "__main__":
-    run()
+    main()

@@ -47,29 +47,6 @@ def target(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Path | 
     return path
 
 
-class Files:
-    """Temporary names for the files of a command: all take their places, or none."""
-
-    def __init__(self, *targets: Path | None):
-        self.targets = targets
-        self.parts = [
-            None if path is None else path.with_name(f".{path.name}.{os.getpid()}.part")
-            for path in targets
-        ]
-
-    def __enter__(self) -> list[Path | None]:
-        return self.parts
-
-    def __exit__(self, kind: Any, *_: Any) -> None:
-        for part, target in zip(self.parts, self.targets, strict=True):
-            if part is None or target is None:
-                continue
-            if kind is None:
-                os.replace(part, target)
-            else:
-                part.unlink(missing_ok=True)
-
-
 def watch_compilation() -> list[float]:
     """Return a list that fills with the seconds of every compilation."""
     import jax.monitoring

@@ -2,8 +2,7 @@
 
 import dataclasses
 import inspect
-import os
-import tempfile
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from vibrojax.contact_laws import AbstractContactLaw, KelvinVoigt
 from vibrojax.drive import NoDrive
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.reading import read_measured_curve
-from vibrojax.results.identification import Identification
 from vibrojax.systems.impacting_beam import ImpactingBeam
 
 _OF_BEAM = (
@@ -164,21 +162,29 @@ def read_curve(
     units: Sequence[str],
     quantity: str | None,
     frame: str | None,
+    decimal: str | None,
 ) -> MeasuredCurve:
     """Read the curve to fit. Raises `ValueError` as `read_measured_curve` does."""
     named: dict[str, str | int | None] = {}
     for key, value in pairs("--columns", columns, "frequency=f_Hz").items():
         named[key] = int(value) if value.isdecimal() else None if value == "none" else value
     told = pairs("--units", units, "amplitude=mm")
-    found = read_measured_curve(path, columns=named, units=told, quantity=quantity, frame=frame)
+    try:
+        found = read_measured_curve(
+            path, columns=named, units=told, quantity=quantity, frame=frame, decimal=decimal
+        )
+    except ValueError as error:
+        raise ValueError(_as_options(str(error))) from None
     if not isinstance(found, MeasuredCurve):
         raise ValueError(f"{str(path)!r} holds {len(found)} curves: give a file of one.")
     return found
 
 
-def save(fit: Identification, data: Path, picture: Path) -> None:
-    """Write report and picture: both take their places, or none."""
-    with tempfile.TemporaryDirectory(dir=data.parent, prefix=f".{data.stem}.") as folder:
-        written = fit.save(Path(folder) / data.name)
-        for part, target in zip(written, (data, picture), strict=True):
-            os.replace(part, target)
+def _as_options(advice: str) -> str:
+    """Return advice to a caller as that to a user of the command: options for keywords."""
+    advice = re.sub(
+        r"(columns|units)=dict\((\w+)=('[^']*'|\w+)\)",
+        lambda m: f"--{m[1]} {m[2]}={'none' if m[3] == 'None' else m[3]}",
+        advice,
+    )
+    return re.sub(r"\b(decimal|quantity|frame)=", r"--\1 ", advice)

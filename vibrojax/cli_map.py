@@ -5,25 +5,29 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import xarray
 
 from vibrojax._checks import nearest
-from vibrojax.cli_files import PICTURES, Files, check_driven, read, target, watch_compilation
+from vibrojax.cli_files import PICTURES, check_driven, read, target, watch_compilation
 from vibrojax.cli_fit import rig_function, rig_numbers
 from vibrojax.cli_map_table import MapRun, map_table
 from vibrojax.cli_tables import title
-from vibrojax.rig_file import frequency_range, one_frequency, read_map, spaced
-from vibrojax.studies.maps import store as stores
+from vibrojax.results.saving import whole_files
+from vibrojax.rig_file import check_most, frequency_range, one_frequency, read_map, spaced
 from vibrojax.studies.maps.continuation_curves import ContinuationCurve
 from vibrojax.studies.maps.dimensions import Zipped, zipped
 from vibrojax.studies.maps.periodic_points import PeriodicPoints
 from vibrojax.studies.maps.responses import AbstractMapResponse, SettledSweep
+from vibrojax.studies.maps.store import map_at
+from vibrojax.studies.maps.store_files import is_full
 from vibrojax.studies.maps.template import FAILED
 from vibrojax.systems.impacting_beam import ImpactingBeam
 
+MOST_LANES = 1_000_000_000
 DEFAULT_RANGE = (0.8, 1.4, 61)
 _FREQUENCIES = ("frequency", "frequency_ratio")
 _EXAMPLE = "such as gap=0.2e-3:1e-3:20 or taper=0,0.25,0.5"
@@ -88,13 +92,10 @@ def run(options: MapOptions) -> int:
     except KeyboardInterrupt:
         if store is None or not store.exists():
             raise
-        print(
-            f"\nvibrojax: interrupted. Whole chunks are in {store}: the same command continues.",
-            file=sys.stderr,
-        )
-        return 130
+        told = f"interrupted. Whole chunks are in {store}: the same command continues."
+        raise KeyboardInterrupt(told) from None
     except OSError as error:
-        if not stores.is_full(error):
+        if not is_full(error):
             raise
         told = "the disk is full. Whole chunks stay: make room, and the same command continues"
         raise OSError(error.errno, told, os.fspath(store or "")) from None
@@ -140,7 +141,7 @@ def axes_of(
     """Return the crossed axes and the groups that go together, options in place of the file's.
 
     Raises `ValueError` for what is no axis, a number given twice, a group of the file of which the
-    options name only a part, or no axis at all.
+    options name only a part, no axis at all, or more than 1e9 lanes.
     """
     told = [[read_axis("--axis", text) for text in texts] for texts in crossed]
     groups = [[read_axis("--zipped", text) for text in texts] for texts in grouped]
@@ -167,6 +168,8 @@ def axes_of(
             f"a map needs an axis: give --axis, {_EXAMPLE}, or [map.axes] in the rig file. For a "
             "single curve: vibrojax sweep."
         )
+    lengths = [len(v) for v in axes.values()] + [len(next(iter(g.values()))) for g in groups]
+    check_most("Lanes of a map, one for every combination of its axes,", prod(lengths), MOST_LANES)
     return axes, groups
 
 
@@ -276,9 +279,12 @@ def _store(path: Path) -> Path | None:
 
 def _lanes_known(store: Path) -> int:
     """Return how many lanes of a store are whole. Raises `ValueError` for what is no store."""
-    if stores.attributes_of(store) is None:
+    if map_at(store) is None:
         return 0
-    states = xarray.open_zarr(store, consolidated=False, chunks=None)["lane_status"].values
+    try:
+        states = xarray.open_zarr(store, chunks=None)["lane_status"].values
+    except Exception:  # damaged: the map itself will tell and mend that
+        return 0
     return int((states < FAILED).sum())
 
 
@@ -299,7 +305,7 @@ def _draw(found: xarray.Dataset, pictures: dict[Path | None, str]) -> tuple[list
             written[path] = getattr(modules[function], function)(found)
         except ValueError as error:  # such as more axes than a picture has
             notes.append(f"{path}: {error}")
-    with Files(*written) as parts:
+    with whole_files(*written) as parts:
         for part, (path, figure) in zip(parts, written.items(), strict=True):
             figure.savefig(part, format=path.suffix[1:])
     return list(written), notes

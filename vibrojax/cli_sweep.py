@@ -4,9 +4,12 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from vibrojax.cli_files import PICTURES, Files, check_driven, read, target, watch_compilation
+from vibrojax._interrupts import stoppable
+from vibrojax.cli_files import PICTURES, check_driven, read, target, watch_compilation
 from vibrojax.cli_tables import modes_csv, modes_table, sweep_table, title
-from vibrojax.rig_file import frequency_range
+from vibrojax.results.saving import whole_files
+from vibrojax.rig_file import check_most, frequency_range
+from vibrojax.rig_file_keys import MOST_MODES
 
 DEFAULT_RANGE = (0.8, 1.4, 121)
 
@@ -48,9 +51,10 @@ def run_sweep(options: SweepOptions) -> int:
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     compiling = watch_compilation()
-    response = frequency_sweep(system, progress=False if options.quiet else None, **settings)
+    progress = False if options.quiet else None
+    response = stoppable(frequency_sweep, system, progress=progress, **settings)
     swept = time.perf_counter()
-    with Files(data, drawing) as (data_part, drawing_part):
+    with whole_files(data, drawing) as (data_part, drawing_part):
         if data_part is not None:
             response.save(data_part)
         if drawing_part is not None and drawing is not None:
@@ -72,8 +76,9 @@ def run_modes(
 
     system, _ = read(rig)
     count = system.num_modes if num_modes is None else num_modes
-    found = solve(system.beam, count, system.formulation)
-    with Files(table, drawing) as (table_part, drawing_part):
+    check_most("--num-modes", count, MOST_MODES)
+    found = stoppable(solve, system.beam, count, system.formulation)
+    with whole_files(table, drawing) as (table_part, drawing_part):
         if table_part is not None:
             table_part.write_text(modes_csv(found))
         if drawing_part is not None and drawing is not None:

@@ -58,7 +58,10 @@ def sweep_table(
     longer = int((period > 1).sum())
     inside = f" ({longer} of period 2 or longer)" if longer else ""
     points = f"{counts[Status.settled]} settled{inside}, {counts[Status.aperiodic]} aperiodic"
-    say(f"points, {status.size}", f"{points}, {counts[Status.diverged]} diverged")
+    points += f", {counts[Status.diverged]} diverged"
+    if counts[Status.unbounded]:
+        points += f", {counts[Status.unbounded]} unbounded"
+    say(f"points, {status.size}", points)
     total, compiling, writing = times
     say("time", f"{total:.1f} s (compiling {compiling:.1f} s), writing {writing:.1f} s")
     written = [str(path) for path in files if path is not None]

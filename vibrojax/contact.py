@@ -12,6 +12,7 @@ from vibrojax._checks import (
     number_field,
 )
 from vibrojax._described import described
+from vibrojax._signatures import validated
 from vibrojax.contact_laws import (
     AbstractContactLaw,
     AbstractMemoryLaw,
@@ -47,6 +48,7 @@ def smooth_switch(penetration: Float[Array, "..."], width: ArrayLike) -> Float[A
     return jnp.where(rounded, polynomial, jump)
 
 
+@validated
 class Stop(eqx.Module):
     """A stop screwed to the base of the beam.
 
@@ -55,15 +57,15 @@ class Stop(eqx.Module):
     fig. 3 and eq. 7.
     """
 
-    position: float | Float[Array, "..."] | None = number_field("position")
+    position: float | Float[Array, "..."] | None = number_field()
     """Place along the beam, s1 = x/L; None for a `MatrixSystem`, whose `stop_map` places it."""
-    gap: float | Float[Array, "..."] = number_field("gap", "m")
+    gap: float | Float[Array, "..."] = number_field("m")
     """Clearance lambda between the beam at rest and the stop, m."""
     law: AbstractContactLaw  # pyright: ignore[reportGeneralTypeIssues]
     """Force as a function of penetration and rate."""
     side: int = eqx.field(static=True, default=1)
     """+1: the stop is above the beam (y > 0); -1: below."""
-    smoothing: float | Float[Array, "..."] | None = number_field("smoothing", "m", default=None)
+    smoothing: float | Float[Array, "..."] | None = number_field(default=None)
     """Width, m of penetration, over which the corner of the force at touch is rounded.
 
     None (the default): methods that locate the touch keep the corner exact, the others round it
@@ -74,8 +76,6 @@ class Stop(eqx.Module):
         """Refuse concrete values that are not a stop."""
         check_position("position", self.position)
         check_not_negative("gap", self.gap, "m")
-        if not isinstance(self.law, AbstractContactLaw):
-            raise ValueError(f"law must be a contact law such as KelvinVoigt, got {self.law!r}.")
         check_choice("side", self.side, (1, -1))
         if self.smoothing is not None:
             check_not_negative("smoothing", self.smoothing, "m")

@@ -19,6 +19,7 @@ from vibrojax._checks import (
     number_field,
 )
 from vibrojax._described import described
+from vibrojax._signatures import validated
 
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
@@ -147,6 +148,7 @@ def _check_exponent(exponent: object) -> None:
     )
 
 
+@validated
 class KelvinVoigt(AbstractLinearLaw):
     """Spring and dashpot in parallel, F = stiffness d + damping d' while d > 0.
 
@@ -157,9 +159,9 @@ class KelvinVoigt(AbstractLinearLaw):
     Raises `ValueError` for a negative stiffness or damping.
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("stiffness", "N/m")
+    stiffness: float | Float[Array, "..."] = number_field("N/m")
     """Contact stiffness Ks, N/m."""
-    damping: float | Float[Array, "..."] = number_field("damping", "N s/m", default=0.0)
+    damping: float | Float[Array, "..."] = number_field("N s/m", default=0.0)
     """Contact damping Cs, N s/m."""
     tension: bool = eqx.field(static=True, default=True)
     """Whether the stop may pull, as the printed law does."""
@@ -187,6 +189,7 @@ class KelvinVoigt(AbstractLinearLaw):
         return self.tension
 
 
+@validated
 class Hertz(AbstractContactLaw):
     """Elastic contact of curved bodies, F = stiffness d^exponent; no energy is lost.
 
@@ -196,9 +199,9 @@ class Hertz(AbstractContactLaw):
     Raises `ValueError` for a negative stiffness or an exponent outside [1, 5].
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("stiffness", "N/m^exponent")
+    stiffness: float | Float[Array, "..."] = number_field("N/m^exponent")
     """Contact stiffness, N/m^exponent."""
-    exponent: float | Float[Array, "..."] = number_field("exponent", default=1.5)
+    exponent: float | Float[Array, "..."] = number_field(default=1.5)
     """Power of the penetration."""
 
     def __check_init__(self) -> None:
@@ -213,6 +216,7 @@ class Hertz(AbstractContactLaw):
         return self.stiffness * _power(penetration, self.exponent)
 
 
+@validated
 class HuntCrossley(AbstractContactLaw):
     """Contact whose damping grows with depth: F = stiffness d^exponent (1 + 3/2 dissipation d').
 
@@ -224,11 +228,11 @@ class HuntCrossley(AbstractContactLaw):
     Raises `ValueError` for a negative stiffness or dissipation, or an exponent outside [1, 5].
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("stiffness", "N/m^exponent")
+    stiffness: float | Float[Array, "..."] = number_field("N/m^exponent")
     """Contact stiffness, N/m^exponent."""
-    dissipation: float | Float[Array, "..."] = number_field("dissipation", "s/m", default=0.0)
+    dissipation: float | Float[Array, "..."] = number_field("s/m", default=0.0)
     """Loss of restitution per speed of approach (alpha), s/m."""
-    exponent: float | Float[Array, "..."] = number_field("exponent", default=1.5)
+    exponent: float | Float[Array, "..."] = number_field(default=1.5)
     """Power of the penetration."""
 
     def __check_init__(self) -> None:
@@ -245,6 +249,7 @@ class HuntCrossley(AbstractContactLaw):
         return self.stiffness * _power(penetration, self.exponent) * loss
 
 
+@validated
 class StandardLinearSolid(AbstractMemoryLaw):
     """Rubber: a spring in parallel with a Maxwell element (spring and dashpot in series).
 
@@ -256,11 +261,11 @@ class StandardLinearSolid(AbstractMemoryLaw):
     Raises `ValueError` for a negative stiffness or a relaxation time that is not above 0.
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("stiffness", "N/m")
+    stiffness: float | Float[Array, "..."] = number_field("N/m")
     """Stiffness of a slow compression, N/m."""
-    maxwell_stiffness: float | Float[Array, "..."] = number_field("maxwell_stiffness", "N/m")
+    maxwell_stiffness: float | Float[Array, "..."] = number_field("N/m")
     """What a sudden compression adds to it, N/m."""
-    relaxation_time: float | Float[Array, "..."] = number_field("relaxation_time", "s")
+    relaxation_time: float | Float[Array, "..."] = number_field("s")
     """Time in which the added force falls to 1/e under constant penetration, s."""
 
     def __check_init__(self) -> None:

@@ -14,6 +14,7 @@ from vibrojax._checks import (
     number_field,
 )
 from vibrojax._described import described
+from vibrojax._signatures import validated
 
 
 class AbstractWaveform(eqx.Module):
@@ -29,10 +30,11 @@ class AbstractWaveform(eqx.Module):
         return described(self)
 
 
+@validated
 class Harmonic(AbstractWaveform):
     """sin(2 pi frequency t). Raises `ValueError` unless the frequency (Hz) is above 0."""
 
-    frequency: float | Float[Array, "..."] = number_field("frequency", "Hz")
+    frequency: float | Float[Array, "..."] = number_field("Hz")
     """Drive frequency, Hz."""
 
     def __check_init__(self) -> None:
@@ -47,6 +49,7 @@ class Harmonic(AbstractWaveform):
         return rate * time, rate * jnp.ones_like(time), jnp.zeros_like(time)
 
 
+@validated
 class Chirp(AbstractWaveform):
     """A continuous change of frequency, held at its end once the duration is over.
 
@@ -54,11 +57,11 @@ class Chirp(AbstractWaveform):
     is `linear` or `logarithmic`.
     """
 
-    start: float | Float[Array, "..."] = number_field("start", "Hz")
+    start: float | Float[Array, "..."] = number_field("Hz")
     """Frequency at time 0, Hz."""
-    end: float | Float[Array, "..."] = number_field("end", "Hz")
+    end: float | Float[Array, "..."] = number_field("Hz")
     """Frequency at the end, Hz."""
-    duration: float | Float[Array, "..."] = number_field("duration", "s")
+    duration: float | Float[Array, "..."] = number_field("s")
     """Time from start to end, s."""
     kind: str = eqx.field(static=True, default="linear")
     """`linear` or `logarithmic` change of frequency with time."""
@@ -124,13 +127,14 @@ class AbstractDrive(eqx.Module):
         return described(self)
 
 
+@validated
 class BaseMotion(AbstractDrive):
     """The base, stop included, moves as chi = amplitude sin(phase).
 
     Source: Gandhi and Vyas 2017, sec. 2.1. Raises `ValueError` for a negative amplitude.
     """
 
-    amplitude: float | Float[Array, "..."] = number_field("amplitude", "m")
+    amplitude: float | Float[Array, "..."] = number_field("m")
     """Displacement amplitude sigma of the base, m."""
 
     def __check_init__(self) -> None:
@@ -149,15 +153,16 @@ class BaseMotion(AbstractDrive):
         return self.amplitude, "1"
 
 
+@validated
 class PointForce(AbstractDrive):
     """A force amplitude sin(phase) at one place of the beam.
 
     Raises `ValueError` for a negative amplitude or a position outside (0, 1].
     """
 
-    amplitude: float | Float[Array, "..."] = number_field("amplitude", "N")
+    amplitude: float | Float[Array, "..."] = number_field("N")
     """Force amplitude, N."""
-    position: float | Float[Array, "..."] = number_field("position", default=1.0)
+    position: float | Float[Array, "..."] = number_field(default=1.0)
     """Place along the beam, x/L."""
 
     def __check_init__(self) -> None:
@@ -177,6 +182,7 @@ class PointForce(AbstractDrive):
         return self.amplitude, "m/N"
 
 
+@validated
 class NoDrive(AbstractDrive):
     """Nothing drives the system: free motion."""
 

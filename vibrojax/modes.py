@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_choice, check_count, check_range, concrete
 from vibrojax._dtm import Shapes, add_masses, evaluate, solve
+from vibrojax._signatures import validated
 from vibrojax.beam import Cantilever
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class Modes(eqx.Module):
         """Natural frequency, Hz."""
         return self.angular_frequency / (2 * np.pi)
 
+    @validated(traceable=True)
     def shape(
         self, s: ArrayLike | Sequence[float], *, derivative: int = 0
     ) -> Float[Array, "*points modes"]:
@@ -63,8 +65,6 @@ class Modes(eqx.Module):
         """
         if isinstance(derivative, bool) or derivative not in range(4):
             raise ValueError(f"derivative must be 0, 1, 2 or 3, got {derivative!r}.")
-        if isinstance(s, str):
-            raise ValueError(f"s must be places x/L from 0 (root) to 1 (tip), got {s!r}.")
         points = jnp.asarray(s, dtype=self.beta.dtype)
         given = points if isinstance(s, list | tuple) else s
         check_range(
@@ -81,6 +81,7 @@ class Modes(eqx.Module):
 
         return plot_modes(self)
 
+    @validated
     def to_xarray(self, points: int = 201) -> "xarray.Dataset":
         """Return a dataset over `mode`, and of the shapes over `place`, with units.
 
@@ -143,6 +144,7 @@ def _finish(
     )
 
 
+@validated(traceable=True)
 def modes(beam: Cantilever, num_modes: int = 5, formulation: str = "consistent") -> Modes:
     """Solve for the first `num_modes` natural frequencies (Hz) and mode shapes of the beam.
 
@@ -163,7 +165,7 @@ def modes(beam: Cantilever, num_modes: int = 5, formulation: str = "consistent")
     if not isinstance(beam, Cantilever):
         advice = " Give its beam: modes(rig.beam)." if hasattr(beam, "beam") else ""
         raise ValueError(f"beam must be a Cantilever, got a {type(beam).__name__}.{advice}")
-    check_count("num_modes", num_modes)
+    check_count("num_modes", num_modes, most=1000)
     check_choice("formulation", formulation, FORMULATIONS)
     taper, mass_ratio = _scalar("taper", beam.taper), _scalar("mass_ratio", beam.mass_ratio)
     scale = _scalar("frequency_scale", beam.frequency_scale)

@@ -1,8 +1,10 @@
 """Rig files: a beam, its stops, its drive, how to sweep it and a map over its numbers, in TOML."""
 
+import datetime
 import os
+import reprlib
+import sys
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,8 @@ from vibrojax._checks import (
     check_positive,
     nearest,
 )
+from vibrojax._files import read_bytes
+from vibrojax._signatures import validated
 from vibrojax.beam import Cantilever, PointMass
 from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive, BaseMotion, NoDrive, PointForce
@@ -41,7 +45,12 @@ from vibrojax.stepping.method import check_settings
 from vibrojax.studies.frequency_sweep import DIRECTIONS
 from vibrojax.systems.impacting_beam import ImpactingBeam
 
+_MOST_BYTES = 10_000_000
+MOST_POINTS = 1_000_000
+"""Of a frequency axis, or one axis of a map."""
 
+
+@validated
 def read_rig(path: str | os.PathLike[str]) -> tuple[ImpactingBeam, dict[str, Any]]:
     """Read a rig file and return the rig and the keywords of `frequency_sweep` it asks for.
 
@@ -91,17 +100,16 @@ def read_map(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise ValueError(f"Rig file {os.fspath(path)!r}: {error}") from None
 
 
-def _load(path: str | os.PathLike[str]) -> dict[str, Any]:
+def _load(path: Any) -> dict[str, Any]:
+    raw = read_bytes("Rig file", path, _MOST_BYTES)
     name = f"Rig file {os.fspath(path)!r}"
     try:
-        return tomllib.loads(Path(path).read_bytes().decode())
-    except FileNotFoundError:
-        raise ValueError(f"{name} does not exist.") from None
-    except OSError as error:
-        raise ValueError(f"{name} cannot be read: {error.strerror}.") from None
+        return tomllib.loads(raw.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise ValueError(f"{name} is not TOML: it is not text in UTF-8.") from None
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError:
+        raise ValueError(f"{name} is nested too deeply.") from None
+    except ValueError as error:  # TOMLDecodeError, or a number of thousands of digits
         raise ValueError(f"{name} is not TOML: {error}.") from None
 
 
@@ -124,11 +132,15 @@ def _check_keys(table: str, values: Any, label: str) -> dict[str, Any]:
     for name, key in keys.items():
         if key.required and name not in values:
             raise ValueError(f"{label} lacks the key {name!r}.")
-    return {name: _of_kind(keys[name].kind, f"{label} {name}", v) for name, v in values.items()}
+    found = {name: _of_kind(keys[name].kind, f"{label} {name}", v) for name, v in values.items()}
+    for name, value in found.items():
+        if keys[name].kind == WHOLE:
+            check_most(f"{label} {name}", value, keys[name].most)
+    return found
 
 
 def _of_kind(kind: str, label: str, value: Any) -> Any:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
+    number = _is_number(value)
     if kind == NUMBER_OR_FALSE and value is False:
         return None
     if kind in (NUMBER, NUMBER_OR_FALSE) and number:
@@ -154,21 +166,35 @@ def _of_kind(kind: str, label: str, value: Any) -> Any:
     raise ValueError(f"{label} must be {kind}, got {_in_toml(value)}.")
 
 
+def _is_number(value: Any) -> bool:
+    """Whether a value is a number that a float can hold, or infinite or no number by name."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, float) or (whole and abs(value) <= sys.float_info.max)
+
+
 def _in_toml(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else repr(value)
+    """Return a value as a sentence shows it, cut short where it is long."""
+    if isinstance(value, datetime.date | datetime.time):
+        return value.isoformat()
+    return str(value).lower() if isinstance(value, bool) else reprlib.repr(value)
+
+
+def check_most(label: str, value: int, most: int) -> None:
+    """Raise `ValueError` for a count of more than `most`."""
+    if value > most:
+        raise ValueError(f"{label} must be at most {most:,}, got {reprlib.repr(value)}.")
 
 
 def frequency_range(label: str, values: Any) -> np.ndarray:
     """Return the evenly spaced frequencies of [start, end, points].
 
     Raises `ValueError`, in the name of `label`, when they are not three numbers, the points not a
-    whole number of at least 2, or the frequencies not finite, above 0 and increasing.
+    whole number from 2 to 1,000,000, or the frequencies not finite, above 0 and increasing.
     """
-    is_number = [isinstance(v, int | float) and not isinstance(v, bool) for v in values]
-    if len(values) != 3 or not all(is_number):
-        raise ValueError(f"{label} must be three numbers, {RANGE}, got {list(values)!r}.")
-    start, end, points = values
-    check_count(f"Points of {label}", points, least=2)
+    if len(values) != 3 or not all(_is_number(value) for value in values):
+        raise ValueError(f"{label} must be three numbers, {RANGE}, got {_in_toml(list(values))}.")
+    start, end, points = float(values[0]), float(values[1]), values[2]
+    check_count(f"Points of {label}", points, least=2, most=MOST_POINTS)
     if end <= start:
         raise ValueError(
             f"{label} must start below its end, got start {start!r} and end {end!r}. "
@@ -194,10 +220,11 @@ def spaced(
     """Return the values of an axis of a map, `spacing` "linear" or "log" (even ratios).
 
     Raises `ValueError`, in the name of `label`, for ends that do not increase or are not finite,
-    fewer than 2 points, an unknown spacing, or a start of 0 or less with even ratios.
+    fewer than 2 or more than 1,000,000 points, an unknown spacing, or a start of 0 or less with
+    even ratios.
     """
     check_choice(f"Spacing of {label}", spacing, SPACINGS)
-    check_count(f"Points of {label}", points, least=2)
+    check_count(f"Points of {label}", points, least=2, most=MOST_POINTS)
     if not np.isfinite([start, end]).all():
         raise ValueError(f"{label} must be finite, got start {start!r} and end {end!r}.")
     if end <= start:
@@ -220,6 +247,7 @@ def _axes(label: str, table: Any) -> dict[str, list[float]]:
 
 def _values(label: str, given: Any) -> list[float]:
     if isinstance(given, list) and given:
+        check_most(f"Points of {label}", len(given), MOST_POINTS)
         return [_of_kind(NUMBER, f"Every value of {label}", value) for value in given]
     if not isinstance(given, dict):
         raise ValueError(

@@ -6,10 +6,11 @@ from vibrojax.contact_laws import Hertz, HuntCrossley, KelvinVoigt, StandardLine
 
 
 class Key(NamedTuple):
-    """Kind of a value, and whether it has to be there."""
+    """Kind of a value, whether it has to be there, and how large a whole number may be."""
 
     kind: str
     required: bool = False
+    most: int = 1_000_000
 
 
 NUMBER = "a number"
@@ -23,6 +24,8 @@ TEXTS = "a list of texts in quotes"
 AXES = "a table [map.axes]"
 GROUPS = "one or more tables [[map.zipped]]"
 MASSES = "one or more tables [[beam.point_masses]]"
+
+MOST_MODES = 1000
 
 KEYS = {
     "beam": {
@@ -53,7 +56,7 @@ KEYS = {
     },
     "model": {
         "damping_ratio": Key(NUMBER, True),
-        "num_modes": Key(WHOLE),
+        "num_modes": Key(WHOLE, most=MOST_MODES),
         "formulation": Key(TEXT),
     },
     "sweep": {

@@ -2,6 +2,8 @@
 
 from jaxtyping import Array, Float
 
+from vibrojax._checks import check_not_negative
+from vibrojax._signatures import validated
 from vibrojax.beam import Cantilever
 from vibrojax.contact import Stop
 from vibrojax.contact_laws import KelvinVoigt
@@ -11,6 +13,7 @@ from vibrojax.systems.impacting_beam import ImpactingBeam
 Number = float | Float[Array, "..."]
 
 
+@validated(traceable=True)
 def default_rig(
     *,
     taper: Number = 0.5,
@@ -58,6 +61,7 @@ def default_rig(
         num_modes: modes kept.
         formulation: `consistent`, or `as_printed` to replicate the paper.
     """
+    check_not_negative("base_amplitude", base_amplitude, "m")
     beam = Cantilever(
         length=length,
         width=width,

@@ -64,7 +64,7 @@ print(f"The first call took {between - start:.1f} s, the second {end - between:.
 maps
 
 # %% [markdown]
-# The store is an ordinary Zarr folder: `xarray.open_zarr("stop_map.zarr", consolidated=False)`
+# The store is an ordinary Zarr folder: `xarray.open_zarr("stop_map.zarr")`
 # opens it anywhere, also without vibrojax.
 #
 # ## One page

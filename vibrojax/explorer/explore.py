@@ -1,14 +1,16 @@
 """An interactive frequency response: sliders for the numbers of a rig."""
 
 import dataclasses
-import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike
 
-from vibrojax._checks import check_choice, nearest
+from vibrojax._checks import check_choice, check_names
+from vibrojax._described import in_short
+from vibrojax._kinds import is_list
+from vibrojax._signatures import validated
 from vibrojax.explorer.explorer import Explorer, Measurement, Slider
 from vibrojax.explorer.live_curve import CurveTracer
 from vibrojax.measured.curve import MeasuredCurve
@@ -17,6 +19,7 @@ from vibrojax.response.sensor import Sensor
 from vibrojax.stepping.choice import is_exact
 from vibrojax.studies.continuation_axes import along_of
 from vibrojax.studies.identification.curve_misfit import sensor_of
+from vibrojax.studies.maps.dimensions import default_of
 from vibrojax.systems.base import AbstractSystem
 
 QUANTITIES = {
@@ -30,6 +33,7 @@ QUANTITIES = {
 MARGIN = 0.03
 
 
+@validated
 def explore(
     make_system: Callable[..., AbstractSystem] | AbstractSystem,
     *,
@@ -72,8 +76,8 @@ def explore(
     """
     if isinstance(make_system, AbstractSystem) or not callable(make_system):
         raise ValueError(
-            f"make_system must be a function from named numbers to a system, got {make_system!r}. "
-            "Write def rig(gap=4e-4): ... and pass rig."
+            "make_system must be a function from named numbers to a system, got "
+            f"{in_short(make_system)}. Write def rig(gap=4e-4): ... and pass rig."
         )
     check_choice("variable", variable, tuple(QUANTITIES))
     sliders = {n: _slider(make_system, n, v) for n, v in numbers.items() if isinstance(v, tuple)}
@@ -84,10 +88,10 @@ def explore(
             "its slider."
         )
     for name, value in fixed.items():
-        if np.ndim(value) > 0 and not isinstance(value, str | bytes):
+        if is_list(value):
             raise ValueError(
                 f"{name} must be a range (low, high), which makes a slider, or one fixed value, "
-                f"got {value!r}."
+                f"got {in_short(value)}."
             )
     points = _measurements(measured)
     axis, low, high = _range(frequency_ratio, frequency, points)
@@ -132,14 +136,12 @@ def _slider(make_system: Callable[..., AbstractSystem], name: str, value: tuple)
     if not 2 <= len(given) <= 3 or not np.isfinite(given).all() or not given[0] < given[1]:
         raise ValueError(
             f"{name} must be a range (low, high) or (low, high, start) of finite numbers with low "
-            f"below high, got {value!r}."
+            f"below high, got {in_short(value)}."
         )
     low, high, *start = given
-    parameters = inspect.signature(make_system).parameters
-    if name not in parameters:
-        if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
-            raise ValueError(f"Unknown argument {name!r}. {nearest(name, parameters)}")
-    elif not start and isinstance(default := parameters[name].default, int | float):
+    check_names(make_system, [name])
+    default = default_of(make_system, name)
+    if not start and isinstance(default, int | float):
         start = [float(default)]
     middle = np.sqrt(low * high) if Slider(low, high, low).is_logarithmic else (low + high) / 2
     chosen = start[0] if start and low <= start[0] <= high else float(middle)
@@ -186,6 +188,7 @@ def _range(
     values = np.asarray(given, float).reshape(-1)
     if values.shape != (2,) or not np.isfinite(values).all() or not 0 < values[0] < values[1]:
         raise ValueError(
-            f"{axis} must be a range (low, high) above 0 with low below high, got {given!r}."
+            f"{axis} must be a range (low, high) above 0 with low below high, "
+            f"got {in_short(given)}."
         )
     return axis, float(values[0]), float(values[1])

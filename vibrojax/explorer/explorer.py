@@ -1,16 +1,20 @@
 """The explorer: sliders, a frequency response that follows them, and the orbit under the cursor."""
 
 import base64
+import os
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from vibrojax._checks import nearest
+from vibrojax._files import path_of
+from vibrojax._signatures import validated
 from vibrojax.explorer.live_curve import CurveTracer, LiveCurve
 from vibrojax.explorer.live_orbit import LiveOrbit, orbit_at
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.response.continuation import Ending
 from vibrojax.results.branch import Branch
+from vibrojax.results.saving import whole_files
 from vibrojax.results.variables import axis_unit, named_value
 from vibrojax.systems.base import AbstractSystem
 
@@ -101,6 +105,7 @@ class Explorer:
                 raise ValueError(f"Unknown number {name!r}. {nearest(name, self.sliders)}")
         return self.values | {name: float(value) for name, value in numbers.items()}
 
+    @validated
     def system(self, **numbers: float) -> AbstractSystem:
         """Return the system with the numbers of the sliders, or with other `numbers` by name (SI).
 
@@ -108,6 +113,7 @@ class Explorer:
         """
         return self._tracer.system(self._numbers(numbers))
 
+    @validated
     def curve(self, **numbers: float) -> LiveCurve:
         """Return the curve that is drawn for the sliders' or other `numbers` (128 samples).
 
@@ -116,6 +122,7 @@ class Explorer:
         chosen = self._checked(numbers)
         return self._shown(self._tracer(chosen))
 
+    @validated
     def quick_curve(self, winds: bool, **numbers: float) -> LiveCurve:
         """Return the curve of `numbers`, or where it winds (for `winds` at once) a quick look.
 
@@ -131,6 +138,7 @@ class Explorer:
     def _shown(self, curve: LiveCurve) -> LiveCurve:
         return curve._replace(response=curve.contact_force) if self._force else curve
 
+    @validated
     def orbit(self, frequency: float, **numbers: float) -> LiveOrbit:
         """Return the orbit nearest to a frequency (ratio or Hz, as drawn).
 
@@ -141,6 +149,7 @@ class Explorer:
         curve = self.curve(**numbers)
         return orbit_at(curve, nearest_point(curve, frequency))
 
+    @validated
     def branch(self, **numbers: float) -> Branch:
         """Return the exact branch (`continue_response`) of the sliders' or other `numbers`.
 
@@ -166,6 +175,7 @@ class Explorer:
         picture.legend()
         return picture
 
+    @validated
     def figure(self, frequency: float | None = None, **numbers: float) -> Any:
         """Return the still picture as a matplotlib figure.
 
@@ -175,12 +185,18 @@ class Explorer:
         """
         return self._still(frequency, numbers).figure
 
-    def save(self, path: str, frequency: float | None = None, **numbers: float) -> None:
+    @validated
+    def save(
+        self, path: str | os.PathLike[str], frequency: float | None = None, **numbers: float
+    ) -> None:
         """Write the still picture to the file `path` (PNG, SVG, PDF by its ending).
 
-        `frequency` and `numbers` are those of `figure`. Raises `ValueError` as `system` does.
+        `frequency` and `numbers` are those of `figure`. Raises `ValueError` as `system` does, or
+        for a path that cannot be a file's; `OSError` where writing fails.
         """
-        self.figure(frequency, **numbers).savefig(path)
+        ending = path_of("path", path).suffix or ".png"
+        with whole_files(path if str(path).endswith(ending) else f"{path}{ending}") as (part,):
+            self.figure(frequency, **numbers).savefig(part, format=ending[1:])
 
     def _still(self, frequency: float | None, numbers: dict[str, float]) -> "LivePicture":
         chosen = self._numbers(numbers)

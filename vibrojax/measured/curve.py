@@ -8,6 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax._checks import check_choice
+from vibrojax._described import in_short
+from vibrojax._signatures import validated
+from vibrojax.measured.cells import channel, real_channel
 from vibrojax.measured.scatter import (
     ASSUMED_LEVEL,
     FEWEST_POINTS,
@@ -63,27 +66,19 @@ class Noise(NamedTuple):
     """None when all of them were given."""
 
 
-def _as_channel(name: str, values: Any) -> np.ndarray:
-    try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a sequence of numbers, got {values!r}.") from None
-    if array.ndim != 1:
-        raise ValueError(f"{name} must be one-dimensional, got an array of shape {array.shape}.")
-    return array
-
-
 def check_parameters(parameters: Any) -> dict[str, float]:
     """Return the parameters as floats; raise `ValueError` unless they are finite numbers."""
     found = {}
     for name, value in dict(parameters).items():
-        number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        real = isinstance(value, int | float | np.integer | np.floating)
+        number = real and not isinstance(value, bool)
         if not number or not np.isfinite(value):
             raise ValueError(f"parameters: {name} must be a finite number, got {value!r}.")
         found[str(name)] = float(value)
     return found
 
 
+@validated
 @dataclass(frozen=True, eq=False, repr=False)
 class MeasuredCurve:
     """Measured responses on a frequency axis, in the order in which they were measured.
@@ -98,7 +93,9 @@ class MeasuredCurve:
     frequency_name: str
     """`frequency_ratio`, or `frequency` in Hz."""
     amplitude: np.ndarray | None = None
-    """Response, at least 0: over the drive amplitude, or in m, m/s or m/s2; None: not measured."""
+    """Response, at least 0: over the drive amplitude, or in m, m/s or m/s2; None: not measured.
+
+    A complex one, as in a measured response function, becomes its magnitude and the `phase`."""
     amplitude_deviation: np.ndarray | None = None
     """Standard deviations, in the unit of the amplitude; None: not known."""
     contact_force: np.ndarray | None = None
@@ -107,8 +104,9 @@ class MeasuredCurve:
     """Standard deviations, N; None: not known."""
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     """1 in a sweep of rising frequency, -1 of falling, 0 not known (when left out)."""
-    quantity: str = "amplitude"
-    """What of the signal: amplitude ((max - min)/2), peak, peak_to_peak, rms, first_harmonic."""
+    quantity: str = ""
+    """What of the signal: amplitude ((max - min)/2), peak, peak_to_peak, rms, first_harmonic; left
+    out: first_harmonic of complex amplitudes, else amplitude."""
     signal: str = "displacement"
     """`displacement`, `velocity` or `acceleration`."""
     is_ratio: bool = True
@@ -123,10 +121,15 @@ class MeasuredCurve:
     """What was guessed or left out on the way."""
     lines: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     """Line of the file on which each point is; 1 to n without a file."""
+    phase: np.ndarray | None = None
+    """Angle (rad) by which the response leads the drive, as the source has it: that of a complex
+    amplitude times exp(+i w t). NaN: not known at this point; None: at none. Fits do not use it."""
 
     def __post_init__(self) -> None:
         """Bring the arrays into form and refuse what is not a measured curve."""
         check_choice("frequency_name", self.frequency_name, FREQUENCY_NAMES)
+        object.__setattr__(self, "notes", tuple(self.notes))
+        self._take_apart()
         check_choice("quantity", self.quantity, tuple(QUANTITIES))
         check_choice("signal", self.signal, tuple(SIGNALS))
         check_choice("frame", self.frame, FRAMES)
@@ -136,7 +139,7 @@ class MeasuredCurve:
                 f"taken over the drive amplitude. Multiply by the amplitude of the drive's "
                 f"{self.signal} and give {SIGNALS[self.signal]}."
             )
-        object.__setattr__(self, "frequency", _as_channel("frequency", self.frequency))
+        object.__setattr__(self, "frequency", real_channel("frequency", self.frequency))
         size = len(self.frequency)
         if size < 1:
             raise ValueError("frequency is empty: give at least one point.")
@@ -148,6 +151,9 @@ class MeasuredCurve:
                 given = np.repeat(given, size)
             if given.shape != (size,):
                 raise ValueError(f"{name} has {given.size} entries, frequency has {size}.")
+            whole = given.dtype.kind in "iufb" and np.all(given == np.round(given))
+            if not whole:
+                raise ValueError(f"{name} must be whole numbers, got {in_short(given.tolist())}.")
             object.__setattr__(self, name, given.astype(int))
         if not np.isin(self.direction, list(DIRECTIONS)).all():
             bad = self.direction[~np.isin(self.direction, list(DIRECTIONS))][0]
@@ -157,14 +163,43 @@ class MeasuredCurve:
             self._check_channel(name, size)
         if self.amplitude is None and self.contact_force is None:
             raise ValueError("Give amplitude or contact_force, or both.")
+        if self.phase is not None:
+            self._check_phase(size)
         object.__setattr__(self, "parameters", check_parameters(self.parameters))
-        object.__setattr__(self, "notes", tuple(self.notes))
+
+    def _take_apart(self) -> None:
+        """Put magnitude and phase in place of a complex amplitude."""
+        given = None if self.amplitude is None else channel("amplitude", self.amplitude)
+        if given is None or not np.iscomplexobj(given):
+            object.__setattr__(self, "quantity", self.quantity or "amplitude")
+            return
+        quantity = self.quantity or "first_harmonic"
+        if self.phase is not None:
+            raise ValueError("phase is given, but the amplitude is complex and has its own.")
+        object.__setattr__(self, "quantity", quantity)
+        object.__setattr__(self, "amplitude", np.abs(given))
+        object.__setattr__(self, "phase", np.angle(given))
+        note = (
+            f"The response is complex: its magnitude was taken ({quantity}), its angle is kept as "
+            "the phase, which fits do not use."
+        )
+        object.__setattr__(self, "notes", (*self.notes, note))
+
+    def _check_phase(self, size: int) -> None:
+        phase = real_channel("phase", self.phase)
+        if self.amplitude is None:
+            raise ValueError("phase is given without amplitude.")
+        if phase.shape != (size,):
+            raise ValueError(f"phase has {phase.size} points, frequency has {size}.")
+        if np.isinf(phase).any():
+            raise ValueError("phase must be finite, or NaN where it is not known, got inf.")
+        object.__setattr__(self, "phase", phase)
 
     def _check_channel(self, name: str, size: int) -> None:
         for part in (name, f"{name}_deviation"):
             if getattr(self, part) is None:
                 continue
-            values = _as_channel(part, getattr(self, part))
+            values = real_channel(part, getattr(self, part))
             if getattr(self, name) is None:
                 raise ValueError(f"{part} is given without {name}.")
             if part != name and values.size == 1:
@@ -311,6 +346,9 @@ class MeasuredCurve:
                 f"  {self.signal}, {self.quantity} {QUANTITIES[self.quantity]}, {unit}, "
                 f"{frame}: up to {np.max(self.amplitude):.5g}"
             )
+        if self.phase is not None and not np.isnan(self.phase).all():
+            low, high = np.nanmin(self.phase), np.nanmax(self.phase)
+            lines.append(f"  phase, rad: {low:.4g} to {high:.4g}, not used by fits")
         if self.contact_force is not None:
             lines.append(f"  contact force, N: up to {np.max(self.contact_force):.5g}")
         channels = [n for n in ("amplitude", "contact_force") if getattr(self, n) is not None]
@@ -324,6 +362,7 @@ class MeasuredCurve:
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
 
+@validated
 @dataclass(frozen=True, eq=False, repr=False)
 class MeasuredCurves:
     """Several measured curves of one rig. Raises `ValueError` when there are none."""

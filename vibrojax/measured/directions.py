@@ -9,6 +9,7 @@ from vibrojax.measured.curve import DIRECTIONS
 _FORWARD = {"forward", "forwards", "fwd", "f", "up", "u", "+", "rising", "increasing"}
 _BACKWARD = {"backward", "backwards", "bwd", "b", "down", "d", "-", "falling", "decreasing"}
 _MOST_TURNS = 3
+NO_DIRECTION = -9
 ALLOWED = "forward/backward, up/down, f/b or 1/-1"
 
 
@@ -24,6 +25,14 @@ def direction_named(value: Any) -> int | None:
     except ValueError:
         return None
     return int(number) if number in DIRECTIONS else None
+
+
+def directions_in(cells: np.ndarray) -> np.ndarray:
+    """Return the direction that every cell names; `NO_DIRECTION` where it names none."""
+    texts = [str(cell) for cell in cells.tolist()]
+    named = {text: direction_named(text) for text in set(texts)}
+    known = {text: NO_DIRECTION if one is None else one for text, one in named.items()}
+    return np.array([known[text] for text in texts], dtype=int)
 
 
 def guess_directions(frequency: np.ndarray) -> tuple[np.ndarray, str]:
@@ -50,9 +59,8 @@ def guess_directions(frequency: np.ndarray) -> tuple[np.ndarray, str]:
     # A step belongs to the point it leads to, a rest to the step that follows.
     found = np.zeros(len(frequency), int)
     found[moving + 1] = signs
-    for row in range(len(found) - 1, -1, -1):
-        if found[row] == 0:
-            found[row] = found[row + 1] if row + 1 < len(found) else signs[-1]
+    known = np.flatnonzero(found)
+    found = np.append(found[known], signs[-1])[np.searchsorted(known, np.arange(len(found)))]
     tally = ", ".join(
         f"{np.sum(found == d)} {DIRECTIONS[d]}" for d in (1, -1) if (found == d).any()
     )

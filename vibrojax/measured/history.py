@@ -16,6 +16,16 @@ from vibrojax._checks import (
     check_range,
     nearest,
 )
+from vibrojax._signatures import validated
+from vibrojax.measured.cells import real_channel
+from vibrojax.measured.columns import (
+    CONTACT_FORCE,
+    Unusable,
+    column_unit,
+    match_columns,
+    real_numbers,
+    usable,
+)
 from vibrojax.measured.curve import FRAMES, check_parameters
 from vibrojax.measured.scatter import (
     ASSUMED_LEVEL,
@@ -24,13 +34,7 @@ from vibrojax.measured.scatter import (
     interpolation_residuals,
     spread,
 )
-from vibrojax.measured.tables import (
-    column_unit,
-    match_columns,
-    numbers,
-    read_table,
-    unusable,
-)
+from vibrojax.measured.tables import read_table
 from vibrojax.measured.units import UNITS
 
 CHANNELS = {
@@ -45,8 +49,10 @@ _PATTERNS = {
     "displacement": "(?:tip|beam)?(?:displacement|disp)|tip|y",
     "velocity": "(?:tip|beam)?(?:velocity|vel)",
     "acceleration": "(?:tip|beam)?(?:acceleration|accel|acc)",
-    "contact_force": "(?:contact|impact)?force",
+    "contact_force": CONTACT_FORCE,
 }
+
+_REAL = "Complex responses over frequency are read by read_measured_curve."
 
 
 class HistoryNoise(NamedTuple):
@@ -58,6 +64,7 @@ class HistoryNoise(NamedTuple):
     """None when all of them were given."""
 
 
+@validated
 @dataclass(frozen=True, eq=False, repr=False)
 class MeasuredHistory:
     """Measured signals over time; arrays have the shape (samples,).
@@ -142,14 +149,10 @@ class MeasuredHistory:
         for name in ("time", *CHANNELS):
             if getattr(self, name) is None:
                 continue
-            try:
-                values = np.array(getattr(self, name), dtype=float)
-            except (TypeError, ValueError):
-                raise ValueError(f"{name} must be a sequence of numbers.") from None
-            if values.ndim != 1 or len(values) < _FEWEST_SAMPLES:
+            values = real_channel(name, getattr(self, name))
+            if len(values) < _FEWEST_SAMPLES:
                 raise ValueError(
-                    f"{name} must have one dimension and at least {_FEWEST_SAMPLES} samples, got "
-                    f"an array of shape {values.shape}."
+                    f"{name} must have at least {_FEWEST_SAMPLES} samples, got {len(values)}."
                 )
             object.__setattr__(self, name, values)
             if len(values) != len(self.time):
@@ -238,6 +241,7 @@ class MeasuredHistory:
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
 
+@validated
 def read_measured_history(
     source: Any,
     *,
@@ -254,14 +258,15 @@ def read_measured_history(
     settled: bool = True,
     parameters: Mapping[str, float] | None = None,
     skip_unusable: bool = True,
+    decimal: str | None = None,
 ) -> MeasuredHistory:
     """Read a measured time history.
 
         history = read_measured_history("tip.csv", units=dict(displacement="mm"), frequency=12.5)
 
-    `source`, `columns`, `units` and `skip_unusable` are as for `read_measured_curve`, for the
-    columns `time`, `displacement`, `velocity`, `acceleration` and `contact_force`; time is in s
-    where nothing says otherwise.
+    `source`, `columns`, `units`, `skip_unusable` and `decimal` are as for `read_measured_curve`,
+    for the columns `time`, `displacement`, `velocity`, `acceleration` and `contact_force`; time is
+    in s where nothing says otherwise.
 
     Parameters:
         deviation: standard deviations by channel, in SI units; the others are estimated.
@@ -281,7 +286,7 @@ def read_measured_history(
     named = isinstance(source, str | os.PathLike)
     label = os.fspath(source) if named else type(source).__name__
     try:
-        table = read_table(source, (columns or {}).values(), along="time")
+        table = read_table(source, (columns or {}).values(), along="time", decimal=decimal)
         found = match_columns(table, _PATTERNS, columns)
         notes = list(table.notes)
         there = f"Columns there are: {', '.join(map(repr, table.columns))}."
@@ -295,7 +300,7 @@ def read_measured_history(
         for name in units:
             if name not in _PATTERNS:
                 raise ValueError(f"units: unknown key {name!r}. {nearest(str(name), _PATTERNS)}")
-        reasons: dict[int, str] = {}
+        trouble = Unusable(len(table.lines))
         values = {}
         for key, column in found.items():
             kind = {"contact_force": "force"}.get(key, key)
@@ -308,8 +313,9 @@ def read_measured_history(
                     f"Column {column!r} says no unit of the {key}. "
                     f"Give it: units=dict({key}={CHANNELS[key]!r})."
                 )
-            values[key] = numbers(table.columns[column], key, reasons) * UNITS[unit].factor
-        keep, left_out = unusable(table, reasons, skip_unusable)
+            found_numbers = real_numbers(table, column, key, trouble, _REAL)
+            values[key] = found_numbers * UNITS[unit].factor
+        keep, left_out = usable(table, trouble, skip_unusable)
         if left_out:
             notes.append(left_out)
         if frame is None and "acceleration" in values:

@@ -1,16 +1,16 @@
 """Tables of measurements: read from files, datasets, data frames or dictionaries of arrays."""
 
-import csv
 import os
-import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vibrojax._checks import nearest
-from vibrojax.measured.units import split_header, unit_named
+from vibrojax._checks import check_choice
+from vibrojax._files import read_bytes
+from vibrojax.measured.cells import DECIMALS, decimal_signs, joined, plain_array, sign_of
+from vibrojax.measured.text_files import read_text
 
 if TYPE_CHECKING:
     import xarray
@@ -32,54 +32,128 @@ class Table(NamedTuple):
     inner: tuple[str, ...] = ()
     """Columns that were axes of a dataset besides direction and frequency, with several values."""
     notes: tuple[str, ...] = ()
-
-    def take(self, rows: np.ndarray) -> "Table":
-        """Return the table of some rows."""
-        columns = {name: values[rows] for name, values in self.columns.items()}
-        return self._replace(columns=columns, lines=self.lines[rows])
+    signs: Mapping[str, str] = {}
+    """Decimal signs of columns of text, as `sign_of` has them; columns left out have points."""
 
 
-def read_table(source: Any, wanted: Iterable[Any] = (), along: str | None = None) -> Table:
-    """Read a table from a path, a dataset, a data frame or a dictionary of arrays.
+_NETCDF = (".nc", ".nc4", ".h5", ".hdf5")
+
+
+def read_table(
+    source: Any,
+    wanted: Iterable[Any] = (),
+    along: str | None = None,
+    decimal: str | None = None,
+) -> Table:
+    """Read a table from a path, a dataset, a data frame, a series or a dictionary of arrays.
 
     `wanted` are the columns asked for: whole numbers among them are positions in a file, counted
     from 0. With `along`, only variables along that dimension are taken from a dataset, and forces
-    are summed over stops. Raises `ValueError` when the source cannot be read or is no table.
+    are summed over stops. `decimal` is the decimal sign of text, None: told by the cells. Raises
+    `ValueError` when the source cannot be read or is no table.
     """
     import xarray
 
     wanted = list(wanted)
+    if decimal is not None:
+        check_choice("decimal", decimal, DECIMALS)
     if isinstance(source, str | os.PathLike):
-        path = Path(source)
-        if not path.is_file():
-            raise ValueError(f"File {os.fspath(path)!r} does not exist.")
-        if path.suffix.lower() in (".nc", ".nc4", ".h5", ".hdf5"):
-            try:
-                with xarray.open_dataset(path, engine="h5netcdf") as dataset:
-                    return _of_dataset(dataset.load(), wanted, along)._replace(label=path.stem)
-            except OSError as error:
-                raise ValueError(f"{path.name!r} cannot be read as NetCDF: {error}.") from None
-        return _of_text(path, any(isinstance(w, int) for w in wanted))
+        return _of_file(source, wanted, along, decimal)
+    if isinstance(source, xarray.DataArray):
+        if source.name is None:
+            raise ValueError(
+                "The data array has no name: say what it holds, as in "
+                "source.rename('amplitude [mm]')."
+            )
+        source = source.to_dataset()
     if isinstance(source, xarray.Dataset):
         return _of_dataset(source, wanted, along)
+    if hasattr(source, "to_frame") and hasattr(source, "index"):  # a pandas series
+        source = source.to_frame()
+        if source.index.names == [None] or source.columns[0] == 0:
+            raise ValueError(
+                "The series does not say what its index and values are: "
+                "source.rename_axis('frequency [Hz]').rename('amplitude [mm]')."
+            )
     if hasattr(source, "columns") and hasattr(source, "to_numpy"):
-        return _of_arrays({str(name): source[name].to_numpy() for name in source.columns})
+        return _of_arrays(_of_frame(source), decimal)
     if isinstance(source, Mapping):
-        return _of_arrays({str(name): values for name, values in source.items()})
+        return _of_arrays(source, decimal)
     if hasattr(source, "to_xarray"):
         return _of_dataset(source.to_xarray(), wanted, along)
     raise ValueError(
-        f"source must be a path, a dataset, a data frame or a dict of arrays, got {type(source)}."
+        "source must be a path, a dataset, a data frame, a series or a dict of arrays, got "
+        f"{type(source)}."
     )
 
 
-def _of_arrays(values: Mapping[str, Any]) -> Table:
-    columns = {name: np.asarray(column) for name, column in values.items()}
+def _of_file(
+    source: str | os.PathLike[str], wanted: list[Any], along: str | None, decimal: str | None
+) -> Table:
+    import xarray
+
+    raw = read_bytes("File", source)
+    path = Path(source)
+    if path.suffix.lower() in _NETCDF or raw.startswith(b"\x89HDF"):
+        engine = "scipy" if raw.startswith(b"CDF") else "h5netcdf"
+        try:
+            # Times stay numbers: xarray would make durations of "seconds".
+            with xarray.open_dataset(path, engine=engine, decode_times=False) as file:
+                dataset = file.load()
+        except Exception as error:  # whatever the readers make of a file that is none
+            said = str(error).split("\n")[0].rstrip(".")
+            raise ValueError(f"{path.name!r} cannot be read as NetCDF: {said}.") from None
+        return _of_dataset(dataset, wanted, along)._replace(label=path.stem)
+    try:
+        text = read_text(raw, any(isinstance(w, int) for w in wanted), decimal)
+    except ValueError as error:
+        raise ValueError(f"{path.name!r} {error}.") from None
+    table = Table(text.columns, {}, text.lines, "line", path.stem, {})
+    return _with_signs(table, text.signs, decimal)
+
+
+def _with_signs(table: Table, of_file: str | None, decimal: str | None) -> Table:
+    """Add the decimal signs of columns of text, and a note where the cells told them."""
+    if of_file is None:
+        return table
+    texts = {n: joined(c) for n, c in table.columns.items() if c.dtype.kind in "OUT"}
+    signs = {name: decimal or sign_of(text, of_file) for name, text in texts.items()}
+    notes = []
+    if decimal is None and any("," in sign for sign in (of_file, *signs.values())):
+        notes.append("Commas were read as decimal points.")
+    if decimal is None:
+        thousands = [n for n, sign in signs.items() if sign == "." and "," in texts[n]]
+        notes += [f"Commas of column {n!r} were read as marks of thousands." for n in thousands]
+    return table._replace(signs=signs, notes=(*table.notes, *notes))
+
+
+def _of_frame(frame: Any) -> list[tuple[Any, Any]]:
+    """Return names and values of the columns of a data frame, and of its index if it has a name."""
+    index = getattr(frame, "index", None)
+    if index is not None and any(name is not None for name in index.names):
+        frame = frame.reset_index()
+    return [(name, frame[name].to_numpy()) for name in frame.columns]
+
+
+def _of_arrays(values: Any, decimal: str | None) -> Table:
+    pairs = list(values.items() if isinstance(values, Mapping) else values)
+    names = [str(name) for name, _ in pairs]
+    double = sorted({name for name in names if names.count(name) > 1})
+    if double:
+        raise ValueError(f"There are several columns named {', '.join(double)}.")
+    columns = {}
+    for name, (_, given) in zip(names, pairs, strict=True):
+        try:
+            columns[name] = plain_array(given)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"Column {name!r} is no array: {error}.") from None
     sizes = {name: column.shape for name, column in columns.items()}
     if len(set(sizes.values())) != 1 or any(len(shape) != 1 for shape in sizes.values()):
         raise ValueError(f"Columns must be one-dimensional and equally long, got shapes {sizes}.")
     rows = next(iter(sizes.values()))[0]
-    return Table(columns, {}, np.arange(1, rows + 1), "row", "", {})
+    table = Table(columns, {}, np.arange(1, rows + 1), "row", "", {})
+    texts = [joined(column) for column in columns.values() if column.dtype.kind in "OUT"]
+    return _with_signs(table, decimal or decimal_signs("\n".join(texts)), decimal)
 
 
 OWN = ("amplitude_ratio", "peak_ratio", "rms_ratio", "first_harmonic_ratio")
@@ -116,187 +190,7 @@ def _of_dataset(dataset: "xarray.Dataset", wanted: list[Any], along: str | None)
     if own:
         for name, value in dataset.coords.items():
             single = value.size == 1 and name not in ("direction", *dims[-1:])
-            if single and np.issubdtype(value.dtype, np.number):
+            if single and value.dtype.kind in "fiu":
                 attached[str(name)] = float(value.values.ravel()[0])
     rows = int(np.prod([dataset.sizes[d] for d in dims]))
     return Table(columns, units, np.arange(1, rows + 1), "row", "", attached, inner)
-
-
-def _cells(line: str, delimiter: str | None) -> list[str]:
-    if delimiter is not None:
-        reader = csv.reader([line], delimiter=delimiter, skipinitialspace=True)
-        return [cell.strip() for cell in next(reader, [])]
-    # A unit in brackets belongs to the word before it.
-    return re.sub(r"\s+(?=[\[(])", "", line).split()
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell.replace(",", ".") if cell.count(",") == 1 and "." not in cell else cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _of_text(path: Path, by_position: bool) -> Table:
-    """Read a file of delimited text, with a header unless columns are asked for by position."""
-    raw = path.read_bytes()
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    if "\0" in text:
-        raise ValueError(f"{path.name!r} is not text.")
-    comment, rows = "", []
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.lstrip().startswith("#"):
-            comment = comment if rows else line.lstrip().lstrip("#").strip()
-        elif line.strip():
-            rows.append((number, line))
-    if not rows:
-        raise ValueError(f"{path.name!r} has no rows.")
-    delimiter = next((d for d in (";", "\t", ",") if d in rows[0][1]), None)
-    cells = [(number, _cells(line, delimiter)) for number, line in rows]
-    first = cells[0][1]
-    if not all(_is_number(cell) for cell in first):
-        header, cells = first, cells[1:]
-    elif len(header := _cells(comment, delimiter)) != len(first):
-        if not by_position:
-            raise ValueError(
-                f"{path.name!r} has no header: its first row is numbers. Give the columns by "
-                "position, counted from 0: columns=dict(frequency=0, amplitude=1)."
-            )
-        header = [f"column {k}" for k in range(len(first))]
-    header = [name or f"column {k}" for k, name in enumerate(header)]
-    double = {name for name in header if header.count(name) > 1}
-    if double:
-        raise ValueError(f"{path.name!r} has several columns named {', '.join(sorted(double))}.")
-    width = len(header)
-    decimal_comma = delimiter != "," and any(
-        re.fullmatch(r"[+-]?\d+,\d+([eE][+-]?\d+)?", cell) for _, row in cells for cell in row
-    )
-    columns = {}
-    for k, name in enumerate(header):
-        column = [row[k] if k < len(row) else None for _, row in cells]
-        if decimal_comma:
-            column = [cell.replace(",", ".") if cell else cell for cell in column]
-        columns[name] = np.array(column, dtype=object)
-    notes = ("Commas were read as decimal points.",) if decimal_comma else ()
-    wide = [number for number, row in cells if len(row) > width and any(row[width:])]
-    if wide:
-        raise ValueError(
-            f"{path.name!r} has more cells than its header's {width} on line {wide[0]}"
-            + (f" and {len(wide) - 1} more lines." if len(wide) > 1 else ".")
-        )
-    lines = np.array([number for number, _ in cells], dtype=int)
-    return Table(columns, {}, lines, "line", path.stem, {}, (), notes)
-
-
-def numbers(values: np.ndarray, name: str, reasons: dict[int, str]) -> np.ndarray:
-    """Return a column as floats; rows that hold none get a reason, and NaN."""
-    found = np.full(len(values), np.nan)
-    for row, value in enumerate(values):
-        try:
-            found[row] = float(value)
-        except (TypeError, ValueError):
-            missing = value is None
-            reason = "too few cells" if missing else f"{name} is no number: {str(value)!r}"
-            reasons.setdefault(row, reason)
-            continue
-        if not np.isfinite(found[row]):
-            reasons.setdefault(row, f"{name} is {found[row]:g}")
-    return found
-
-
-def find_column(table: Table, key: str, given: Any) -> str:
-    """Return the name of a column asked for by name or by position.
-
-    Raises `ValueError` when there is none.
-    """
-    names = list(table.columns)
-    if isinstance(given, int) and not isinstance(given, bool):
-        if 0 <= given < len(names):
-            return names[given]
-        raise ValueError(
-            f"columns: {key} must be a position from 0 to {len(names) - 1}, got {given}."
-        )
-    if given in names:
-        return str(given)
-    alike = [n for n in names if n.strip().lower() == str(given).strip().lower()]
-    alike = alike or [n for n in names if split_header(n) == split_header(str(given))]
-    alike = alike or [n for n in names if split_header(n).words == split_header(str(given)).words]
-    if len(alike) == 1:
-        return alike[0]
-    raise ValueError(
-        f"columns: there is no column {given!r} for {key}. {nearest(str(given), names)}"
-    )
-
-
-def match_columns(
-    table: Table,
-    patterns: Mapping[str, str],
-    given: Mapping[str, Any] | None,
-    taken: Iterable[str] = (),
-) -> dict[str, str]:
-    """Return the column of every key: the one given, or the one whose name fits the pattern.
-
-    None given leaves a key out. Raises `ValueError` for an unknown key or column, and where several
-    columns fit.
-    """
-    given = dict(given or {})
-    for key in given:
-        if key not in patterns:
-            raise ValueError(f"columns: unknown key {key!r}. {nearest(str(key), patterns)}")
-    found = {k: find_column(table, k, name) for k, name in given.items() if name is not None}
-    used = {*found.values(), *taken}
-    for key, pattern in patterns.items():
-        if key in given:
-            continue
-        fits = [
-            name
-            for name in table.columns
-            if name not in used and re.fullmatch(pattern, split_header(name).words)
-        ]
-        if len(fits) > 1:
-            raise ValueError(
-                f"Columns {', '.join(map(repr, fits))} may all be the {key}. "
-                f"Say which: columns=dict({key}={fits[0]!r}), or None for none of them."
-            )
-        if fits:
-            found[key] = fits[0]
-    return found
-
-
-def column_unit(
-    table: Table, key: str, column: str, units: Mapping[str, Any], kinds: Iterable[str]
-) -> str | None:
-    """Return the unit of a column: as given, as its name says, or as came with it; else None.
-
-    Raises `ValueError` for a unit that is not known or is of another kind.
-    """
-    written = split_header(column).unit
-    for text in (units.get(key), table.units.get(column), written):
-        if text is not None:
-            return unit_named(key, text, kinds)
-    return None
-
-
-def unusable(table: Table, reasons: Mapping[int, str], skip: bool) -> tuple[np.ndarray, str | None]:
-    """Return the rows to use, and a sentence that names the others.
-
-    Raises `ValueError` where rows are unusable and must not be skipped, or none is left.
-    """
-    rows = len(table.lines)
-    keep = np.array([row not in reasons for row in range(rows)], dtype=bool)
-    if keep.all() and rows:
-        return keep, None
-    bad = np.flatnonzero(~keep)
-    named = [f"{table.counted} {table.lines[row]} ({reasons[row]})" for row in bad[:6]]
-    more = f" and {len(bad) - 6} more" if len(bad) > 6 else ""
-    listed = ", ".join(named) + more
-    if not keep.any():
-        raise ValueError(f"There is no usable row{': ' + listed if listed else ''}.")
-    count = f"{len(bad)} unusable row{'s' if len(bad) > 1 else ''}"
-    if not skip:
-        raise ValueError(f"{count}: {listed}. Correct them, or leave them out: skip_unusable=True.")
-    return keep, f"{count} left out: {listed}."

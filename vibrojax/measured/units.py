@@ -33,6 +33,8 @@ UNITS = {
     "s": Unit("time", 1.0),
     "ms": Unit("time", 1e-3),
     "us": Unit("time", 1e-6),
+    "rad": Unit("angle", 1.0),
+    "deg": Unit("angle", np.pi / 180),
     "relative": Unit("relative", 1.0),
     "%": Unit("relative", 1e-2),
 }
@@ -52,6 +54,10 @@ _SPELLED = {
     "rad/sec": "rad/s",
     "1/min": "rpm",
     "sec": "s",
+    "seconds": "s",
+    "radians": "rad",
+    "degrees": "deg",
+    "°": "deg",
     "percent": "%",
 }
 _BY_SPELLING = {name.lower(): name for name in UNITS} | _SPELLED
@@ -81,6 +87,9 @@ def unit_named(name: str, text: Any, kinds: Iterable[str]) -> str:
     return found
 
 
+_PART_OF = r"(?i)^(re|im|real|imag|abs|mag|arg|phase)\((\w+)\)"
+
+
 class Header(NamedTuple):
     """A column header taken apart."""
 
@@ -92,7 +101,8 @@ class Header(NamedTuple):
 
 def split_header(header: str) -> Header:
     """Take a header like `frequency [Hz]`, `f_Hz`, `tip/mm` or `rms_ratio` apart."""
-    name, unit = header.strip(), None
+    # Re(H) is a part of H, not "Re" in a unit H.
+    name, unit = re.sub(_PART_OF, r"\1 \2", header.strip()), None
     bracket = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]", name)
     slash = name.partition("/")
     if bracket:

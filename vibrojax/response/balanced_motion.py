@@ -94,6 +94,19 @@ def read_balanced(
     )
 
 
+def balanced_strobes(
+    place: Place, depth: Complex[Array, "stops harmonics"], period: int
+) -> Float[Array, "periods states"]:
+    """Return the states of a balanced motion at drive phase 0, one for each drive period of it."""
+    samples = 2 * (depth.shape[-1] - 1)
+    equations, drive, w = place.equations, place.drive, place.angular_frequency
+    problem = condensed_problem(equations, drive, w, samples=samples, period=period)
+    force = balance(problem, depth, samples / period * w / (2 * jnp.pi), samples).force
+    return jax.vmap(
+        lambda phase: state_of(equations, drive, w, force, phase, samples=samples, period=period)
+    )(2 * np.pi * jnp.arange(period))
+
+
 def kicked_monodromy(place: Place, at, interval):
     """Jacobian of the period map: exact flight over every sample, contact as a kick."""
     equations = place.equations

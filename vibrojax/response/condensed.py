@@ -25,6 +25,10 @@ from vibrojax.response.methods import check_balance
 from vibrojax.stepping.contact_phases import _eigen
 from vibrojax.systems.base import LinearEquations
 
+LEAST_DYNAMIC = 1e-6
+"""Least dynamic stiffness of a mode at resonance, relative to its static one: below it a balance
+loses the digits that tell the motion from the response without stops. Exact motions need none."""
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
@@ -54,10 +58,18 @@ def _transfer(equations: LinearEquations, w: Float[Array, " harmonics"], rows):
     if coupling is None:
         natural, zeta = equations.angular_frequency, equations.damping_ratio
         stiff = equations.modal_stiffness[:, None] - w**2
-        compliance = 1.0 / (stiff + 2j * (zeta * natural)[:, None] * w)
+        dynamic = stiff + 2j * (zeta * natural)[:, None] * w
+        compliance = 1.0 / _damped(dynamic, 1j * (natural**2)[:, None])
         return jnp.einsum("ri,ic,ik->rck", rows, columns, compliance)
     poles, left, right = _flight_poles(equations, coupling, rows, columns)
-    return jnp.einsum("rp,pc,pk->rck", left, right, 1.0 / (1j * w - poles[:, None]))
+    dynamic = _damped(1j * w - poles[:, None], equations.angular_frequency[0])
+    return jnp.einsum("rp,pc,pk->rck", left, right, 1.0 / dynamic)
+
+
+def _damped(dynamic, damping):
+    """Give a mode that would respond without bound just enough damping to respond."""
+    least = LEAST_DYNAMIC * damping
+    return jnp.where(jnp.abs(dynamic) < jnp.abs(least), least, dynamic)
 
 
 def _flight_poles(equations: LinearEquations, coupling: Array, rows, columns):

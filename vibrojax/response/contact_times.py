@@ -16,7 +16,8 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from vibrojax._trigonometry import cosine
 from vibrojax.drive import AbstractDrive
-from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks
+from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
+from vibrojax.stepping.resonance import driven_growth
 
 lax = jax.lax
 
@@ -52,26 +53,39 @@ class Tables(NamedTuple):
 
     phases: ContactPhases
     steady: Complex[Array, "phases states"]
+    driven: Complex[Array, "phases states"] | None
+    """Input of blocks in resonance, which have no steady response; None where there are none."""
     rows: Complex[Array, "phases rows"]
     """What the read-out rows see of the steady response."""
     angular_frequency: Float[Array, ""]
 
 
 def tables_of(
-    phases: ContactPhases, drive: AbstractDrive, angular_frequency: Float[Array, ""]
+    phases: ContactPhases,
+    drive: AbstractDrive,
+    angular_frequency: Float[Array, ""],
+    *,
+    resonant: bool = True,
 ) -> Tables:
-    """Tabulate the steady response of every phase."""
+    """Tabulate the steady response of every phase; `resonant` unless no block can be."""
     zero = jnp.zeros_like(angular_frequency)
     amplitude = drive.complex_amplitude(angular_frequency, zero)
     steady = forced_blocks(phases, amplitude, angular_frequency)
     rows = jnp.einsum("prs,ps->pr", phases.readout, steady)
     # The steady response is no free motion of a block: its acceleration is -w^2 its depth.
     s = phases.num_stops
-    rows = rows.at[:, 2 * s : 3 * s].set(-(angular_frequency**2) * rows[:, :s])
-    return Tables(phases, steady, rows, angular_frequency)
+    acceleration = -(angular_frequency**2) * rows[:, :s]
+    driven = None
+    if resonant:
+        driven = resonant_blocks(phases, amplitude, angular_frequency)
+        pushed = jnp.einsum("prs,ps->pr", phases.readout[:, s : 2 * s], driven)
+        acceleration = acceleration + pushed
+    rows = rows.at[:, 2 * s : 3 * s].set(acceleration)
+    return Tables(phases, steady, driven, rows, angular_frequency)
 
 
-def _forced(tables: Tables, phase, angle):
+def forced(tables: Tables, phase, angle):
+    """Block coordinates of rest and the steady response at a drive phase."""
     steady = tables.steady[phase]
     wave = jnp.sin(angle) * steady.real + jnp.cos(angle) * steady.imag
     return wave + tables.phases.rest[phase]
@@ -89,6 +103,16 @@ def _turned(tables: Tables, phase, blocks, angle):
     top, bottom = blocks[:n], blocks[n:]
     # Real pairs have rate 0: cosine 1, sine 0, each row with its own exponent.
     return jnp.concatenate([growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)])
+
+
+def moved_on(tables: Tables, phase, blocks, begun, angle):
+    """Advance block coordinates of a motion over a drive angle from the phase `begun`."""
+    phases, w = tables.phases, tables.angular_frequency
+    moved = _turned(tables, phase, blocks, angle)
+    if tables.driven is None:
+        return moved
+    decay, rate, driven = phases.exponent[phase, 0], phases.rate[phase], tables.driven[phase]
+    return moved + driven_growth(decay, rate, driven, begun, w, angle / w)
 
 
 def _lateness(tables: Tables, phase, stop, moved, angle, with_slope: bool = False):
@@ -175,9 +199,9 @@ def follow_events(
         stop = jnp.where(final, -1, events.stop[k])
         used, s = stop >= 0, jnp.maximum(stop, 0)
         angle = jnp.where(used, times[k], last)
-        blocks = phases.from_state[phase] @ state - _forced(tables, phase, begun)
+        blocks = phases.from_state[phase] @ state - forced(tables, phase, begun)
         if phases.num_stops:
-            moved = _turned(tables, phase, blocks, angle - begun)
+            moved = moved_on(tables, phase, blocks, begun, angle - begun)
             # Far from the motion a full correction could throw an event out of its order.
             following = jnp.where(k + 1 < room, times[jnp.minimum(k + 1, room - 1)], last)
             room_left = jnp.minimum(jnp.minimum(angle - begun, following - angle), 1.0)
@@ -185,11 +209,11 @@ def follow_events(
             late = _lateness(tables, phase, s, moved, angle, twice)
             angle = angle + jnp.where(used, jnp.clip(late, -limit, limit), 0.0)
             if twice:
-                moved = _turned(tables, phase, blocks, angle - begun)
+                moved = moved_on(tables, phase, blocks, begun, angle - begun)
                 late = _lateness(tables, phase, s, moved, angle, twice)
                 angle = angle + jnp.where(used, jnp.clip(late, -limit, limit), 0.0)
-        moved = _turned(tables, phase, blocks, angle - begun)
-        state = phases.to_state[phase] @ (moved + _forced(tables, phase, angle))
+        moved = moved_on(tables, phase, blocks, begun, angle - begun)
+        state = phases.to_state[phase] @ (moved + forced(tables, phase, angle))
         return (
             state,
             jnp.where(used, phase ^ (1 << s), phase),

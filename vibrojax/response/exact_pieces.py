@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from vibrojax._trigonometry import cosine
-from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks
+from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
+from vibrojax.stepping.resonance import driven_growth
 from vibrojax.systems.base import LinearEquations, Motion
 
 MOST_ROUNDS = 64
@@ -54,6 +55,8 @@ class Course(NamedTuple):
     blocks: Float[Array, "states lanes"]
     """Block coordinates of the free part."""
     steady: Complex[Array, "states lanes"]
+    driven: Complex[Array, "states lanes"]
+    """Input of blocks in resonance, which have no steady response."""
     angle: Float[Array, " lanes"]
     rate: Float[Array, " lanes"]
 
@@ -76,9 +79,10 @@ def _drives(motion, start, duration):
 def begin_course(phases, phase, state, angle, rate, amplitude) -> Course:
     """Put states (states, lanes) of one phase into block coordinates."""
     steady = forced_blocks(phases, amplitude, rate)[phase]
+    driven = resonant_blocks(phases, amplitude, rate)[phase]
     wave = steady.real * jnp.sin(angle) + steady.imag * jnp.cos(angle)
     blocks = phases.from_state[phase] @ state - phases.rest[phase][:, None] - wave
-    return Course(blocks, steady, angle, rate)
+    return Course(blocks, steady, driven, angle, rate)
 
 
 def follow(
@@ -101,22 +105,27 @@ def follow(
     c, s = cosine(angle), cosine(angle - np.pi / 2)
     along, across = growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)
     moved = jnp.concatenate([along, across])
+    rate, steady, driven = wide(course.rate), wide(course.steady), wide(course.driven)
+    moved = moved + driven_growth(
+        wide(decay[0]), wide(turn), driven, wide(course.angle), rate, time
+    )
 
     def derived(z):
         first, second = z[:n], z[n:]
         along = wide(decay[0]) * first - wide(turn) * second
         return jnp.concatenate([along, wide(turn) * first + wide(decay[1]) * second])
 
-    drive = wide(course.angle) + wide(course.rate) * time
+    drive = wide(course.angle) + rate * time
     sine, cosine_ = cosine(drive - np.pi / 2), cosine(drive)
-    rate, steady = wide(course.rate), wide(course.steady)
     rest = phases.rest[phase].reshape((-1,) + (1,) * time.ndim)
-    change = derived(moved)
+    change = derived(moved) + driven.real * sine + driven.imag * cosine_
+    driven_change = rate * (driven.real * cosine_ - driven.imag * sine)
     real, imag = steady.real * sine, steady.imag * sine
     wave = real + steady.imag * cosine_
     # d/dt of Im(Z exp(i angle)) is Im(i w Z exp(i angle)).
     wave_change = rate * (steady.real * cosine_ - imag)
-    return moved + rest + wave, change + wave_change, derived(change) - rate**2 * wave
+    second_change = derived(change) + driven_change - rate**2 * wave
+    return moved + rest + wave, change + wave_change, second_change
 
 
 def read_stops(phases, phase, blocks):

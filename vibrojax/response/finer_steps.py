@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from vibrojax.contact import Stop
-from vibrojax.stepping.splitting import contact_of, drift, kick, steady, steps_for
+from vibrojax.stepping.splitting import contact_of, driven_flow, kick, steady, steps_for
 from vibrojax.systems.base import LinearEquations, Motion, memory_by_stop, stop_forces
 
 lax = jax.lax
@@ -124,10 +124,9 @@ def _step(motion: Motion, state, start, h):
     phase_end, _, _ = motion.waveform.phase(start + h)
     middle, rate, second = motion.waveform.phase(start + h / 2)
     amplitude, omega = motion.drive.complex_amplitude(rate, second), (phase_end - phase) / h
-    forced = steady(equations, amplitude, omega)
+    forced, driven = steady(equations, amplitude, omega)
     w, zeta, n = equations.angular_frequency, equations.damping_ratio, equations.size
-    half = drift(w, zeta, h / 2)
-    early = [drift(w, zeta, x * h / 2) for x in _PLACES]
+    half, *early = (driven_flow(equations, driven, omega, x * h / 2) for x in (1.0, *_PLACES))
     received = equations.modal_mass * equations.input_map
 
     def at(angle):
@@ -138,7 +137,7 @@ def _step(motion: Motion, state, start, h):
         loss, work = jnp.zeros(n), jnp.zeros(())
         for place, x, weight in zip(early, _PLACES, _WEIGHTS, strict=True):
             there = angle + x * omega * h / 2
-            _, speed = place(q, v)
+            _, speed = place(q, v, angle)
             speed = speed + at(there)[n : 2 * n]
             drive = amplitude.real * jnp.sin(there) + amplitude.imag * jnp.cos(there)
             loss = loss + weight * h / 2 * 2 * zeta * w * equations.modal_mass * speed**2
@@ -147,7 +146,7 @@ def _step(motion: Motion, state, start, h):
 
     q, v, memory = equations.split(state - at(phase))
     loss, work = lost(q, v, phase)
-    q, v = half(q, v)
+    q, v = half(q, v, phase)
     contact = contact_of(equations, 0)
     forced_q, forced_v, _ = equations.split(at(middle))
     rate = contact.towards @ (v + forced_v)
@@ -158,7 +157,7 @@ def _step(motion: Motion, state, start, h):
         v = v - contact.push @ impulse
     taken = impulse * (rate + contact.towards @ (v + forced_v)) / 2
     later, more = lost(q, v, middle)
-    state = jnp.concatenate([*half(q, v), memory]) + at(phase_end)
+    state = jnp.concatenate([*half(q, v, middle), memory]) + at(phase_end)
     return state, (loss + later, work + more, impulse, taken)
 
 

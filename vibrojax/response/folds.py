@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from vibrojax._described import shown_value
+from vibrojax._signatures import validated
 from vibrojax.response.contact_times import MOST_EVENTS, Events, Orbit, follow_events
 from vibrojax.response.implicit import frozen
 from vibrojax.response.orbit_reading import Reading, find_crossings, read_course
@@ -52,6 +53,7 @@ class Fold(NamedTuple):
         )
 
 
+@validated(traceable=True)
 def fold_response(system: AbstractSystem, near: SpecialPoint | Fold, *, axis: str) -> Fold:
     """Solve for the fold near one that is known, of this or of a similar system.
 

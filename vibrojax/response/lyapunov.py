@@ -7,8 +7,8 @@ Müller 1994, Chaos, Solitons & Fractals 4, 1671 for motions with impacts.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,11 +18,13 @@ from jaxtyping import Array, ArrayLike, Float
 from scipy.signal.windows import tukey
 
 from vibrojax._checks import check_count, check_one_number, check_range
+from vibrojax._signatures import validated
 from vibrojax.response.simulate import motion
 from vibrojax.results.lyapunov import LyapunovExponent
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMarch, AbstractMethod, with_traced_numbers
 from vibrojax.systems.base import AbstractSystem, check_is_system
+from vibrojax.systems.states import as_state
 
 lax = jax.lax
 
@@ -126,6 +128,7 @@ def _grown(method, run, state, transient, count):
     return *mean_rate(grown.log_growth, period), grown.log_growth / period, grown.state, period
 
 
+@validated(traceable=True)
 def lyapunov_exponent(
     system: AbstractSystem,
     *,
@@ -133,7 +136,7 @@ def lyapunov_exponent(
     frequency_ratio: ArrayLike | None = None,
     periods: int = 400,
     transient: int = 200,
-    initial_state: Any = None,
+    initial_state: ArrayLike | Sequence[float] | None = None,
     method: AbstractMethod | None = None,
     tolerance: float = 1e-6,
     steps_per_period: int | None = None,
@@ -149,8 +152,8 @@ def lyapunov_exponent(
             frequency of the unstopped system). Without a drive it only serves as a clock.
         periods: drive periods over which the growth is averaged.
         transient: drive periods marched before, to come to the motion that lasts.
-        initial_state: state (q, q', memories of stops) at drive phase 0, shape (states,); at rest
-            by default.
+        initial_state: at drive phase 0, as of `simulate`: what `system.state(displacement=...)`
+            makes, or a state in the coordinates of the system; at rest by default.
         method: how to step; by default what suits the system.
         tolerance: relative error of the steps to aim at.
         steps_per_period: steps of the march, instead of those chosen.
@@ -173,12 +176,9 @@ def lyapunov_exponent(
     chosen = choose_method(system, method, tolerance, steps_per_period)
     run = motion(system, frequency=frequency, frequency_ratio=frequency_ratio)
     size = run.equations.state_size
-    state = jnp.zeros(size) if initial_state is None else jnp.asarray(initial_state, float)
-    if state.shape != (size,):
-        raise ValueError(
-            f"initial_state must be a state (q, q') of shape ({size},), got an array of shape "
-            f"{state.shape}."
-        )
+    state = jnp.zeros(size)
+    if initial_state is not None:
+        state = as_state("initial_state", initial_state, run.equations)
     numbers = with_traced_numbers(chosen)
     before = jnp.asarray(max(transient - ALIGNING, 0), jnp.int32)
     exponent, error, rates, end, period = _grown(numbers, run, state, before, periods)

@@ -7,6 +7,7 @@ import equinox as eqx
 
 from vibrojax._checks import check_count
 from vibrojax._described import described
+from vibrojax._signatures import validated
 from vibrojax.contact import Stop
 
 SAMPLES = ((1e-3, 128), (1e-4, 256), (1e-5, 512), (1e-6, 1024))
@@ -24,6 +25,7 @@ def check_balance(stops: tuple[Stop, ...]) -> None:
             )
 
 
+@validated
 class HarmonicBalance(eqx.Module):
     """Condensed harmonic balance: the motion at the stops, sampled in time.
 
@@ -79,6 +81,7 @@ class HarmonicBalance(eqx.Module):
             )
 
 
+@validated
 class Shooting(eqx.Module):
     """Newton's method on the period map, its Jacobian in forward mode through the stepper.
 
@@ -86,7 +89,7 @@ class Shooting(eqx.Module):
     16 steps per period.
     """
 
-    solver: Any = None
+    solver: diffrax.AbstractSolver[Any] | None = None
     """A diffrax solver, at equal steps; by default the one that suits the system."""
     steps_per_period: int = eqx.field(static=True, default=512)
     """Equal steps per drive period (samples of the result)."""

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax._trigonometry import cosine
-from vibrojax.response.contact_times import Course, Events, Tables
+from vibrojax.response.contact_times import Course, Events, Tables, forced, moved_on
 from vibrojax.stepping.elementary import cubic_maximum
+from vibrojax.stepping.resonance import driven_growth
 
 lax = jax.lax
 
@@ -50,13 +51,17 @@ def look(tables: Tables, course: Course, segment, angle: Float[Array, " places"]
     time = (angle - course.start[segment]) / tables.angular_frequency
     exponent = jnp.moveaxis(phases.exponent, 0, -1)[:, :, phase]
     growth = jnp.exp(exponent * time)
-    turn = phases.rate.T[:, phase] * time
-    c, s = cosine(turn), cosine(turn - np.pi / 2)
+    rate = phases.rate.T[:, phase]
+    c, s = cosine(rate * time), cosine(rate * time - np.pi / 2)
     blocks = course.blocks[:, segment]
     top, bottom = blocks[:n], blocks[n:]
     moved = jnp.concatenate(
         [growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)]
     )
+    if tables.driven is not None:
+        driven, begun = tables.driven.T[:, phase], course.start[segment]
+        w = tables.angular_frequency
+        moved = moved + driven_growth(exponent[0], rate, driven, begun, w, time)
     sine, cosine_ = cosine(angle - np.pi / 2), cosine(angle)
 
     def rows_of(p):
@@ -168,18 +173,9 @@ def _force(tables: Tables, rows, held):
 
 def state_in(tables: Tables, course: Course, segment, angle):
     """State of a motion at a drive phase (rad) of a given segment."""
-    phases, n = tables.phases, tables.phases.num_blocks
-    phase = course.phase[segment]
-    time = (angle - course.start[segment]) / tables.angular_frequency
-    growth, turn = jnp.exp(phases.exponent[phase] * time), phases.rate[phase] * time
-    c, s = cosine(turn), cosine(turn - np.pi / 2)
-    top, bottom = course.blocks[:n, segment], course.blocks[n:, segment]
-    moved = jnp.concatenate(
-        [growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)]
-    )
-    steady = tables.steady[phase]
-    forced = jnp.sin(angle) * steady.real + jnp.cos(angle) * steady.imag
-    return phases.to_state[phase] @ (moved + forced + phases.rest[phase])
+    phase, begun = course.phase[segment], course.start[segment]
+    moved = moved_on(tables, phase, course.blocks[:, segment], begun, angle - begun)
+    return tables.phases.to_state[phase] @ (moved + forced(tables, phase, angle))
 
 
 def _breach(tables: Tables, stop: int, rows, touching):

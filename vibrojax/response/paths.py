@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from jaxtyping import Array, Float
 from vibrojax._types import AnyArray
 from vibrojax.drive import AbstractDrive
 from vibrojax.response.contact_times import Tables, tables_of
-from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
+from vibrojax.stepping.contact_phases import ContactPhases, can_resonate, contact_phases
 from vibrojax.systems.base import AbstractSystem, LinearEquations
 
 
@@ -46,6 +47,8 @@ class LocalPath(AbstractPath):
     phases: ContactPhases | None
     phases_slope: ContactPhases | None
     """Derivative of the phases; None where they do not change."""
+    resonant: bool = eqx.field(static=True)
+    """Whether the drive could turn a block at its own frequency: there is one without damping."""
 
     def at(self, parameter: Float[Array, ""]) -> Place:
         """Return equations, drive and drive frequency."""
@@ -58,7 +61,7 @@ class LocalPath(AbstractPath):
         if self.phases_slope is not None:
             phases = _moved(phases, self.phases_slope, parameter - self.parameter)
         place = self.at(parameter)
-        return tables_of(phases, place.drive, place.angular_frequency)
+        return tables_of(phases, place.drive, place.angular_frequency, resonant=self.resonant)
 
 
 def _moved(tree: Any, slope: Any, way: Array) -> Any:
@@ -116,9 +119,11 @@ def localise(
         place = Place(equations, drive, jnp.asarray(parameter * unit))
         still = jax.tree.map(np.zeros_like, place)
         slope = eqx.tree_at(lambda p: p.angular_frequency, still, np.asarray(unit))
-        return LocalPath(jnp.asarray(parameter), place, slope, phases, None)
+        resonant = can_resonate(phases)
+        return LocalPath(jnp.asarray(parameter), place, slope, phases, None, resonant)
     here = jax.tree.map(lambda a: np.asarray(a)[lane] if eqx.is_array(a) else a, paths)
-    return _localise(here, parameter, exact)
+    local = _localise(here, parameter, exact)
+    return replace(local, resonant=can_resonate(local.phases))
 
 
 @eqx.filter_jit
@@ -132,7 +137,7 @@ def _localise(paths: AbstractPath, parameter: Float[AnyArray, " points"], exact:
         fill = lambda a, b: jnp.zeros_like(a) if b is None else b  # noqa: E731
         slope = jax.tree.map(fill, place, slope)
         phases_slope = jax.tree.map(fill, phases, phases_slope) if exact else None
-        return LocalPath(p, place, slope, phases, phases_slope)
+        return LocalPath(p, place, slope, phases, phases_slope, True)
 
     return jax.vmap(one)(paths, parameter)
 

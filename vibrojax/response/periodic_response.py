@@ -1,6 +1,7 @@
 """The periodic response itself, at one point: exact, with stability and derivatives."""
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -8,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._checks import check_count, check_one_number, check_range
-from vibrojax.response.balanced_motion import read_balanced, solve_balance
+from vibrojax._checks import check_count, check_one_number, check_range, is_traced
+from vibrojax._signatures import validated
+from vibrojax._warn import warn
+from vibrojax.response.balanced_motion import balanced_strobes, read_balanced, solve_balance
 from vibrojax.response.contact_times import MOST_EVENTS, Events, Orbit, follow_events
 from vibrojax.response.exact_point import Guess, exact_point
 from vibrojax.response.implicit import frozen
@@ -22,17 +25,22 @@ from vibrojax.response.tracing import REPAIRS
 from vibrojax.results.periodic_response import PeriodicResponse, reading_of
 from vibrojax.stepping.choice import is_exact
 from vibrojax.systems.base import AbstractSystem, LinearEquations, as_arrays, check_is_system
+from vibrojax.systems.states import ABOUT_STATES, as_state
 
 lax = jax.lax
 
+MOST_RESIDUAL = 0.1
+"""Residual of a balance on a finer grid at which it is no motion."""
 
+
+@validated(traceable=True)
 def periodic_response(
     system: AbstractSystem,
     *,
     frequency_ratio: ArrayLike | None = None,
     frequency: ArrayLike | None = None,
     period: int = 1,
-    guess: Any = None,
+    guess: PeriodicResponse | ArrayLike | Sequence[float] | None = None,
     method: Shooting | HarmonicBalance | None = None,
     tolerance: float = 1e-4,
 ) -> PeriodicResponse:
@@ -47,9 +55,11 @@ def periodic_response(
         frequency_ratio, frequency: drive frequency, one of the two (ratio to the first natural
             frequency of the unstopped system, or Hz).
         period: drive periods after which the motion repeats.
-        guess: where Newton's method starts: a `PeriodicResponse` or a state (q, q') at drive
-            phase 0, shape (2 coordinates,), the memories of stops behind it. By
-            default a march from rest until it settles.
+        guess: where Newton's method starts: a `PeriodicResponse`, or a state at drive phase 0: what
+            `system.state(displacement=..., velocity=...)` makes of displacements, one of
+            `history.states`, or (q, q') in the coordinates of the system, those of its modes for a
+            beam and for matrices, the memories of stops behind them. By default a march from rest
+            until it settles.
         method: `Shooting()` or `HarmonicBalance()`. By default linear stops are solved exactly
             between their contact times (shooting through exact propagators), other stops by
             harmonic balance, stops with an internal state, modes that fall away and other systems
@@ -58,6 +68,9 @@ def periodic_response(
 
     Raises `ValueError` for a period below 1, settings that contradict each other, a tolerance out
     of reach, or a method that cannot take the system. A search that fails is flagged in `status`.
+    Where a guess led elsewhere, to a motion that lies far from it (`guess_distance`) or repeats
+    sooner than asked for (`minimal_period`), the result says so, and a warning outside of
+    transformations.
     """
     check_count("period", period)
     check_range("tolerance", tolerance, 0.0, 0.1, include_low=False, allowed="above 0, up to 0.1")
@@ -76,7 +89,7 @@ def periodic_response(
     linear = isinstance(equations, LinearEquations)
     if is_ratio and not linear:
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
-    state = _state_of(guess, equations.state_size)
+    state = None if guess is None else as_state("guess", guess, equations)
     exact = linear and is_exact(system)
     shot = not linear or bool(equations.memory_size)
     if linear and method is None:
@@ -90,29 +103,25 @@ def periodic_response(
                 f"{type(system).__name__} is not linear but for its stops, which harmonic balance "
                 "needs. Use method=Shooting()."
             )
-        return shoot(arrays, value, is_ratio, period, state, method or Shooting(), exact)
-    if method is None and (exact or not equations.stops):
-        return _exactly(arrays, value, is_ratio, period, state)
-    if not equations.stops:
+        found = shoot(arrays, value, is_ratio, period, state, method or Shooting(), exact)
+    elif method is None and (exact or not equations.stops):
+        found = _exactly(arrays, value, is_ratio, period, state)
+    elif not equations.stops:
         raise ValueError("HarmonicBalance() needs a stop; leave method out for a linear system.")
-    method = HarmonicBalance() if method is None else method
-    method.check_reach(tolerance)
-    samples = method.samples_for(tolerance)
-    return _by_balance(arrays, value, is_ratio, period, state, samples, method.harmonics, exact)
+    else:
+        balance = HarmonicBalance() if method is None else method
+        balance.check_reach(tolerance)
+        samples, harmonics = balance.samples_for(tolerance), balance.harmonics
+        found = _by_balance(arrays, value, is_ratio, period, state, samples, harmonics, exact)
+    if guess is not None and not is_traced(found.status):
+        _warn_of_guess(found)
+    return found
 
 
-def _state_of(guess: Any, size: int) -> Array | None:
-    if guess is None:
-        return None
-    if isinstance(guess, PeriodicResponse):
-        guess = guess.initial_state
-    state = jnp.asarray(guess, float)
-    if state.shape != (size,):
-        raise ValueError(
-            f"guess must be a PeriodicResponse or a state (q, q') of shape ({size},), got an "
-            f"array of shape {state.shape}."
-        )
-    return state
+def _warn_of_guess(found: PeriodicResponse) -> None:
+    """Warn where the guess led to no motion, or elsewhere."""
+    if not found.converged or found.notes:
+        warn(f"From this guess: {found.sentence} {ABOUT_STATES}")
 
 
 @eqx.filter_jit
@@ -129,11 +138,17 @@ def _exactly(system, value, is_ratio, period, state) -> PeriodicResponse:
     orbit = Orbit(start, found.orbit.times)
     course = follow_events(tables, found.events, orbit, period)
     reading = read_course(tables, found.events, course, period)
+    phases = 2 * np.pi * jnp.arange(period)
+    strobes = jax.vmap(lambda phase: state_at(tables, course, phase, found.events.section, period))(
+        phases
+    )
     return reading_of(
         system,
         path.at(value),
         reading,
         period=period,
+        strobes=strobes,
+        guess=state,
         multipliers=found.multipliers,
         residual=found.residual,
         converged=found.valid,
@@ -156,15 +171,20 @@ class _Solution(NamedTuple):
 def _solved_exactly(path: FrequencyPath, value, period: int, state) -> _Solution:
     """Find the motion and its sequence of contacts; no derivatives."""
     assert path.phases is not None
-    if state is None:
-        state = settled_motion(path, value, period, exact=True)
     weight = path.phases.weight
     if not path.equations.stops:
         nothing = jnp.full(MOST_EVENTS, -1, jnp.int32)
         times = jnp.zeros(MOST_EVENTS) + 2 * np.pi * period
         events = Events(nothing, jnp.zeros((), jnp.int32), jnp.zeros(()))
+        # One period from rest is all there is to know of a linear motion, damped or not.
+        rest = Orbit(jnp.zeros_like(weight), times)
+        once = follow_events(path.tables(value), events, rest, period, with_jacobian=True)
+        assert once.jacobian is not None
+        state = jnp.linalg.solve(jnp.eye(weight.size) - once.jacobian, once.end)
         first = Guess(events, Orbit(state, times), jnp.asarray(True))
     else:
+        if state is None:
+            state = settled_motion(path, value, period, exact=True)
         depth, change, states = sampled_motion(path, value, state, period, exact=True)
         found = find_crossings(depth, change, MOST_EVENTS, period)
         # The section is moved to the nearest sample, whose state is known.
@@ -207,17 +227,21 @@ def _solved_exactly(path: FrequencyPath, value, period: int, state) -> _Solution
 def _by_balance(system, value, is_ratio, period, state, samples, harmonics, exact):
     path = frequency_path(system, is_ratio, False)
     place, still = path.at(value), frozen(path).at(frozen(value))
-    state = frozen(state)
-    if state is None:
-        state = settled_motion(frozen(path), frozen(value), period, exact)
-    depth, _, _ = sampled_motion(frozen(path), frozen(value), state, period, exact)
+    start = frozen(state)
+    if start is None:
+        start = settled_motion(frozen(path), frozen(value), period, exact)
+    depth, _, _ = sampled_motion(frozen(path), frozen(value), start, period, exact)
     spectrum, converged = solve_balance(place, still, depth, samples, period, harmonics)
     reading = read_balanced(place, spectrum, period)
+    # Next to an undamped resonance the samples do not tell the motion.
+    converged = converged & (reading.residual < MOST_RESIDUAL)
     return reading_of(
         system,
         place,
         reading,
         period=period,
+        strobes=balanced_strobes(place, spectrum, period),
+        guess=state,
         multipliers=reading.multipliers,
         residual=lax.stop_gradient(reading.residual),
         converged=converged,

@@ -124,16 +124,20 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
         residual = jnp.max(jnp.abs(returned(jax.lax.stop_gradient(x), held)))
         reading = _read(place, states, method.steps_per_period, period)
         multipliers = jnp.linalg.eigvals(jax.lax.stop_gradient(matrix) + jnp.eye(extent))
-        return reading, multipliers.real, multipliers.imag, jax.lax.stop_gradient(residual)
+        strobes = jax.lax.stop_gradient(states[: -1 : method.steps_per_period])
+        residual = jax.lax.stop_gradient(residual)
+        return reading, multipliers.real, multipliers.imag, residual, strobes
 
     numbers = system, value
-    reading, real, imaginary, residual = with_columns(solved, numbers, start, unit)
+    reading, real, imaginary, residual, strobes = with_columns(solved, numbers, start, unit)
     place = place_of(*numbers)
     return reading_of(
         system,
         place,
         reading,
         period=period,
+        strobes=strobes,
+        guess=state,
         multipliers=jax.lax.stop_gradient(real + 1j * imaginary),
         residual=jax.lax.stop_gradient(residual),
         converged=residual < 1e-6,

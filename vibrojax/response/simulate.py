@@ -8,7 +8,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._checks import check_choice, check_count, check_one_number, check_positive, concrete
+from vibrojax._checks import (
+    check_choice,
+    check_count,
+    check_one,
+    check_one_number,
+    check_positive,
+    concrete,
+)
+from vibrojax._signatures import validated
 from vibrojax.drive import AbstractWaveform, Harmonic
 from vibrojax.results.history import History
 from vibrojax.stepping.choice import choose_method, prepare_motion
@@ -22,11 +30,14 @@ from vibrojax.systems.base import (
     equations_of,
 )
 from vibrojax.systems.impacting_beam import ImpactingBeam
+from vibrojax.systems.states import as_state
 
-ATTEMPTS = 12
-"""Attempts per sample interval in the loop of fixed length that reverse mode differentiates."""
+MOST_SAMPLES = 100_000_000
+ATTEMPTS = 256
+"""Most attempts per step that reverse mode keeps; those not made cost nothing."""
 
 
+@validated(traceable=True)
 def motion(
     system: AbstractSystem,
     *,
@@ -39,6 +50,8 @@ def motion(
     Give at most one of `frequency` (Hz), `frequency_ratio` (to the first natural frequency of the
     unstopped system) and `waveform` (`Harmonic`, `Chirp`). Raises `ValueError` for more than one.
     """
+    check_one("frequency", frequency, "Hz")
+    check_one("frequency_ratio", frequency_ratio, "ratio")
     given = [x for x in (frequency, frequency_ratio, waveform) if x is not None]
     if len(given) > 1:
         raise ValueError("Give one of frequency, frequency_ratio and waveform, not several.")
@@ -58,6 +71,7 @@ def motion(
     return Motion(equations, drive, waveform, prepare_motion(system, equations))
 
 
+@validated(traceable=True)
 def simulate(
     system: AbstractSystem,
     *,
@@ -65,11 +79,11 @@ def simulate(
     frequency_ratio: ArrayLike | None = None,
     waveform: AbstractWaveform | None = None,
     periods: float | int | None = None,
-    duration: float | int | None = None,
+    duration: ArrayLike | None = None,
     samples_per_period: int = 128,
     samples: int | None = None,
     sampling_rate: float | int | None = None,
-    initial_state: tuple[Any, ...] | None = None,
+    initial_state: Any = None,
     release: ArrayLike | None = None,
     solver: diffrax.AbstractSolver[Any] | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController[Any, Any] | None = None,
@@ -89,9 +103,10 @@ def simulate(
         samples: number of intervals over the whole time, instead.
         sampling_rate: samples per second (Hz), instead: at least twice the highest natural
             frequency of the model, as an analyser would have to sample it.
-        initial_state: modal coordinates q (m) and velocities q' (m/s), each of shape
-            (coordinates,), and the memories of the stops that have one where they are not at rest;
-            at rest by default.
+        initial_state: at drive phase 0: what `system.state(displacement=..., velocity=...)` makes
+            of displacements, one of `history.states`, or a state itself, as one array (states,) or
+            as (q, q') and the memories of stops that are not at rest. Of a beam and of matrices q
+            (m) and q' (m/s) are coordinates of their modes. At rest by default.
         release: instead, let the beam go from the static deflection with this tip displacement, m.
         solver: any diffrax solver. By default `ExactContact` where the stops are linear in
             contact, else `ExponentialSplitting`, or `LinearlyImplicit` for a system that is not
@@ -149,11 +164,11 @@ def task_of(
     frequency_ratio: ArrayLike | None,
     waveform: AbstractWaveform | None,
     periods: float | int | None,
-    duration: float | int | None,
+    duration: ArrayLike | None,
     samples_per_period: int,
     samples: int | None,
     sampling_rate: float | int | None,
-    initial_state: tuple[Any, ...] | None,
+    initial_state: Any,
     release: ArrayLike | None,
     solver: diffrax.AbstractSolver[Any] | None,
     stepsize_controller: diffrax.AbstractStepSizeController[Any, Any] | None,
@@ -164,11 +179,8 @@ def task_of(
     """Check what `simulate` was asked and get it ready. Raises `ValueError` as it says."""
     check_is_system(system)
     check_choice("gradient", gradient, ("reverse", "forward"))
-    if solver is not None and not isinstance(solver, diffrax.AbstractSolver):
-        raise ValueError(
-            "solver must be a diffrax solver, such as vj.ExactContact() or diffrax.Tsit5(), got "
-            f"{solver!r}."
-        )
+    if max_steps is not None:
+        check_count("max_steps", max_steps)
     _check_waveform(system, frequency, frequency_ratio, waveform)
     if sampling_rate is not None:
         check_positive("sampling_rate", sampling_rate, "Hz")
@@ -188,8 +200,9 @@ def task_of(
     if solver is None or method is not None:
         solver = choose_method(system, method, tolerance, None)
     if isinstance(solver, AbstractMethod):
-        if isinstance(solver, ExactContact) and gradient == "reverse" and not solver.max_attempts:
-            solver = ExactContact(solver.tolerance, solver.steps_per_period, ATTEMPTS)
+        if isinstance(solver, ExactContact):
+            most = (solver.max_attempts or ATTEMPTS) if gradient == "reverse" else None
+            solver = ExactContact(solver.tolerance, solver.steps_per_period, most)
         parts = math.ceil(solver.steps(run) / per_period)
         controller: diffrax.AbstractStepSizeController[Any, Any] = diffrax.ConstantStepSize()
     else:
@@ -214,7 +227,7 @@ def _grid(period, periods, duration, samples_per_period, samples, sampling_rate)
         check_positive("periods", periods, "(drive periods)")
         length, count = periods * period, periods
     else:
-        check_positive("duration", duration, "s")
+        check_one_number("duration", duration, "s", "Use simulate_each for several motions.")
         length, count = jnp.asarray(duration, float), concrete(duration / period)
     if sampling_rate is not None:
         seconds = concrete(length)
@@ -228,6 +241,12 @@ def _grid(period, periods, duration, samples_per_period, samples, sampling_rate)
         # A duration is covered to its end; a number of periods has its samples exactly.
         samples = count * samples_per_period
         samples = math.ceil(samples) if periods is None else max(1, round(samples))
+    if samples > MOST_SAMPLES:
+        length_name = "duration" if periods is None else "periods"
+        raise ValueError(
+            f"{length_name} and samples_per_period, samples or sampling_rate ask for "
+            f"{samples:.3g} samples; at most {MOST_SAMPLES:,} fit into a memory. Ask for fewer."
+        )
     return length, samples / float(count), samples
 
 
@@ -248,6 +267,7 @@ def _initial_state(system, run, initial_state, release):
     if initial_state is not None and release is not None:
         raise ValueError("Give initial_state or release, not both.")
     if release is not None:
+        check_one("release", release, "m", "Use simulate_each for several.")
         if not isinstance(system, ImpactingBeam):
             raise ValueError("release is for an ImpactingBeam: give initial_state instead.")
         q = system.static_shape(release)
@@ -258,19 +278,9 @@ def _initial_state(system, run, initial_state, release):
                 "beam from the other side, or from less."
             )
         return jnp.concatenate([q, jnp.zeros(run.equations.state_size - q.size)])
-    n, memories = run.equations.size, run.equations.memory_size
     if initial_state is None:
-        return jnp.zeros(2 * n + memories)
-    parts = [jnp.asarray(x, float) for x in initial_state]
-    if len(parts) == 2:
-        parts.append(jnp.zeros(memories))
-    shapes = [part.shape for part in parts]
-    if shapes != [(n,), (n,), (memories,)]:
-        behind = f", and of the memories of the stops, shape ({memories},)" if memories else ""
-        raise ValueError(
-            f"initial_state must be (q, q') of shape ({n},) each{behind}, got shapes {shapes}."
-        )
-    return jnp.concatenate(parts)
+        return jnp.zeros(run.equations.state_size)
+    return as_state("initial_state", initial_state, run.equations)
 
 
 def _static_size(system, run):

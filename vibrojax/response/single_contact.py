@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Complex, Float
 from vibrojax._trigonometry import cosine
 from vibrojax.contact_laws import can_pull, linear_coefficients
 from vibrojax.drive import AbstractDrive
-from vibrojax.response.contact_times import Tables, tables_of
+from vibrojax.response.contact_times import Tables, moved_on, tables_of
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 from vibrojax.systems.base import AbstractEquations, LinearEquations
 
@@ -106,12 +106,21 @@ def unit_phases(equations: LinearEquations) -> ContactPhases:
 
 
 def unit_tables(
-    phases: ContactPhases, drive: AbstractDrive, angular_frequency: Float[Array, ""]
+    phases: ContactPhases,
+    drive: AbstractDrive,
+    angular_frequency: Float[Array, ""],
+    *,
+    resonant: bool = True,
 ) -> Tables:
     """Tabulate the steady responses to a drive of amplitude 1; `phases` as of `unit_phases`."""
     amplitude, _ = drive.reference
-    tables = tables_of(phases, drive, angular_frequency)
-    return tables._replace(steady=tables.steady / amplitude, rows=tables.rows / amplitude)
+    tables = tables_of(phases, drive, angular_frequency, resonant=resonant)
+    return tables._replace(
+        **jax.tree.map(
+            lambda table: table / amplitude,
+            {"steady": tables.steady, "driven": tables.driven, "rows": tables.rows},
+        )
+    )
 
 
 def touch_gap_ratio(tables: Tables) -> Float[Array, ""]:
@@ -119,12 +128,28 @@ def touch_gap_ratio(tables: Tables) -> Float[Array, ""]:
 
     The limit of `SingleContact.gap_ratio` for short contacts.
     """
-    return jnp.abs(tables.rows[FLIGHT, DEPTH])
+    return _contact_free(tables, DEPTH)
 
 
 def contact_free_amplitude(tables: Tables) -> Float[Array, ""]:
     """Reported displacement of the motion without contact, over the drive amplitude."""
-    return jnp.abs(tables.rows[FLIGHT, 3 * tables.phases.num_stops])
+    return _contact_free(tables, 3 * tables.phases.num_stops)
+
+
+def _contact_free(tables: Tables, row: int) -> Float[Array, ""]:
+    """Amplitude that a row of the read-out sees without contact; infinite at a resonance."""
+    phases, n = tables.phases, tables.phases.num_blocks
+    if tables.driven is None:
+        return jnp.abs(tables.rows[FLIGHT, row])
+    left, right = phases.readout[FLIGHT, row, :n], phases.readout[FLIGHT, row, n:]
+    top, bottom = tables.driven[FLIGHT, :n], tables.driven[FLIGHT, n:]
+    along = 1j * tables.angular_frequency - phases.exponent[FLIGHT, 0]
+    determinant = along**2 + phases.rate[FLIGHT] ** 2
+    seen = left * (along * top - phases.rate[FLIGHT] * bottom)
+    seen = seen + right * (phases.rate[FLIGHT] * top + along * bottom)
+    endless = (determinant == 0) & (seen != 0)
+    resonant = jnp.sum(seen / jnp.where(determinant == 0, 1.0, determinant))
+    return jnp.where(jnp.any(endless), jnp.inf, jnp.abs(tables.rows[FLIGHT, row] + resonant))
 
 
 def growth(phases: ContactPhases, phase: int, time: Float[Array, ""]):
@@ -190,7 +215,11 @@ def single_contact(tables: Tables, contact_fraction: Float[Array, ""]) -> Single
     pressed = exchange @ phases.rest[CONTACT]
     by_state = exchange - apply_blocks(kept, _right(exchange, grown))
     later = steady * turned
+    # What blocks in resonance gain in contact and in flight, by the drive phase where it begins.
+    gained, gained_later = _gain(tables, CONTACT, angle), _gain(tables, FLIGHT, 2 * np.pi - angle)
+    later = later + exchange @ gained
     by_phasor = steady - lax.complex(apply_blocks(kept, later.real), apply_blocks(kept, later.imag))
+    by_phasor = by_phasor - gained_later * turned
     by_gap = pressed - apply_blocks(kept, pressed)
 
     # Depth zero at touch; its mean rate in contact zero; the mean deceleration one.
@@ -198,8 +227,8 @@ def single_contact(tables: Tables, contact_fraction: Float[Array, ""]) -> Single
     last_rows = [rows[DEPTH], _right(rows[DEPTH], mean), -_right(rows[RATE], mean)]
     last_phasors = [
         steady_rows[DEPTH],
-        steady_rows[DEPTH] * mean_turn,
-        -steady_rows[RATE] * mean_turn,
+        steady_rows[DEPTH] * mean_turn + rows[DEPTH] @ gained / angle,
+        -steady_rows[RATE] * mean_turn - rows[RATE] @ gained / angle,
     ]
     last_gaps = phases.readout_rest[CONTACT, DEPTH] * jnp.array([1.0, 0.0, 0.0])
     phasor = jnp.concatenate([by_phasor, jnp.stack(last_phasors)])
@@ -224,7 +253,7 @@ def single_contact(tables: Tables, contact_fraction: Float[Array, ""]) -> Single
 
     end_c, end_s = c * cos - s * sin, s * cos + c * sin
     blocks = z + forced(tables.steady[CONTACT], c, s) + phases.rest[CONTACT] * gap
-    end = apply_blocks(grown, z)
+    end = apply_blocks(grown, z) + forced(gained, c, s)
     departed = exchange @ (end + forced(tables.steady[CONTACT], end_c, end_s)) + pressed * gap
     return SingleContact(
         contact_fraction=contact_fraction,
@@ -236,6 +265,15 @@ def single_contact(tables: Tables, contact_fraction: Float[Array, ""]) -> Single
         in_contact=z,
         in_flight=departed - forced(tables.steady[FLIGHT], end_c, end_s),
     )
+
+
+def _gain(tables: Tables, phase: int, angle):
+    """What the drive adds over an angle: Im(gain exp(i phase)), by the phase where it begins."""
+    still = jnp.zeros(tables.steady.shape[1])
+    if tables.driven is None:
+        return lax.complex(still, still)
+    quarter, start = (moved_on(tables, phase, still, begun, angle) for begun in (np.pi / 2, 0.0))
+    return lax.complex(quarter, start)
 
 
 def _units(tables: Tables, whole):

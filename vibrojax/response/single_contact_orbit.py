@@ -5,16 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from vibrojax.response.contact_times import Course, Events, Tables
+from vibrojax.response.contact_times import Course, Events, Tables, forced, moved_on
 from vibrojax.response.exact_point import BREACH
 from vibrojax.response.orbit_reading import Reading, read_course
 from vibrojax.response.single_contact import (
     CONTACT,
     FLIGHT,
     SingleContact,
-    apply_blocks,
     durations,
-    growth,
 )
 
 
@@ -32,17 +30,16 @@ def with_gap(tables: Tables, gap: Float[Array, ""]) -> Tables:
 def course_of(tables: Tables, found: SingleContact) -> tuple[Tables, Events, Course]:
     """Lay the motion out from the middle of its flight, with the tables at its own gap."""
     phases = tables.phases
-    angle, _, flight = durations(tables, found.contact_fraction)
+    angle, _, _ = durations(tables, found.contact_fraction)
     half = np.pi - angle / 2
     section = jnp.mod(found.touch - half, 2 * np.pi)
     touch, last = section + half, section + 2 * np.pi
     departure = touch + angle
-    real, imag = growth(phases, FLIGHT, flight / 2)
-    middle = apply_blocks((real + 1, imag), found.in_flight)
+    middle = moved_on(tables, FLIGHT, found.in_flight, departure, last - departure)
     none = jnp.zeros((), jnp.int32)
     events = Events(jnp.zeros(2, jnp.int32), none, section)
     course = Course(
-        end=phases.to_state[FLIGHT] @ middle,
+        end=phases.to_state[FLIGHT] @ (middle + forced(tables, FLIGHT, section)),
         times=jnp.stack([touch, departure]),
         phase=jnp.array([FLIGHT, CONTACT, FLIGHT], jnp.int32),
         blocks=jnp.stack([middle, found.in_contact, found.in_flight], axis=1),
@@ -50,9 +47,6 @@ def course_of(tables: Tables, found: SingleContact) -> tuple[Tables, Events, Cou
         stop=jnp.stack([touch, departure, last]),
         jacobian=None,
     )
-    steady = tables.steady[FLIGHT]
-    forced = jnp.sin(section) * steady.real + jnp.cos(section) * steady.imag
-    course = course._replace(end=phases.to_state[FLIGHT] @ (middle + forced))
     return with_gap(tables, found.gap_ratio), events, course
 
 

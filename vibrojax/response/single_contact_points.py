@@ -19,7 +19,7 @@ from vibrojax.response.single_contact import (
     unit_tables,
 )
 from vibrojax.response.single_contact_orbit import read_single_contact
-from vibrojax.stepping.contact_phases import ContactPhases
+from vibrojax.stepping.contact_phases import ContactPhases, can_resonate
 
 BATCH = 256
 """Motions at once: what is looked at of each takes some 25 kB."""
@@ -44,14 +44,20 @@ class Points(NamedTuple):
 
 
 @eqx.filter_jit
-def _batch(phases: ContactPhases, drive: AbstractDrive, places: Float[Array, "motions 2"]):
+def _batch(
+    phases: ContactPhases,
+    drive: AbstractDrive,
+    places: Float[Array, "motions 2"],
+    resonant: bool,
+):
     def gap_of(place):
-        found = single_contact(unit_tables(phases, drive, place[1]), place[0])
+        tables = unit_tables(phases, drive, place[1], resonant=resonant)
+        found = single_contact(tables, place[0])
         return found.gap_ratio, found
 
     def one(place):
         slope, found = jax.jacfwd(gap_of, has_aux=True)(place)
-        tables = unit_tables(phases, drive, place[1])
+        tables = unit_tables(phases, drive, place[1], resonant=resonant)
         reading, valid = read_single_contact(tables, found)
         return Points(
             gap_ratio=found.gap_ratio,
@@ -77,8 +83,9 @@ def evaluate(
     flat = places.reshape(-1, 2)
     missing = -len(flat) % BATCH
     whole = np.concatenate([flat, np.repeat(flat[:1], missing, axis=0)])
+    resonant = can_resonate(phases)
     parts = [
-        jax.device_get(_batch(phases, drive, jnp.asarray(part)))
+        jax.device_get(_batch(phases, drive, jnp.asarray(part), resonant))
         for part in whole.reshape(-1, BATCH, 2)
     ]
 
@@ -88,7 +95,6 @@ def evaluate(
     return jax.tree.map(joined, *parts)
 
 
-@eqx.filter_jit
 def gap_surface(
     phases: ContactPhases,
     drive: AbstractDrive,
@@ -100,8 +106,13 @@ def gap_surface(
     Ten times faster than `evaluate`.
     """
 
+    return _surface(phases, drive, fractions, angular_frequency, can_resonate(phases))
+
+
+@eqx.filter_jit
+def _surface(phases, drive, fractions, angular_frequency, resonant: bool):
     def column(w):
-        tables = unit_tables(phases, drive, w)
+        tables = unit_tables(phases, drive, w, resonant=resonant)
         return jax.vmap(lambda f: gap_ratio_and_slope(tables, f)[:2])(fractions)
 
     return jax.vmap(column, out_axes=1)(angular_frequency)

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 
 from vibrojax._types import AnyArray
 from vibrojax.response.condensed import (
@@ -25,6 +25,7 @@ from vibrojax.response.continuation import Ending, Settings, Trace, follow
 from vibrojax.response.exact_point import ExactPoint, Guess, exact_point
 from vibrojax.response.orbit_reading import find_crossings, state_at
 from vibrojax.response.paths import AbstractPath, FrequencyPath, localise
+from vibrojax.stepping.resonance import is_unbounded, undamped_at
 
 WIDTHS = (1, 32)
 """Lanes in one loop; the number compiled is the least of these that holds them all."""
@@ -60,14 +61,16 @@ def _follow(paths, settings, trace, samples, period, harmonics):
 
 @eqx.filter_jit
 def free_motion(paths: AbstractPath, parameter, samples: int, period: int):
-    """Averaged depths without contact, of every lane: the first guess."""
+    """Averaged depths without contact, of every lane: the first guess. NaN where it is endless."""
 
     def one(path, p):
         place = path.at(p)
         problem = condensed_problem(
             place.equations, place.drive, place.angular_frequency, samples=samples, period=period
         )
-        return problem.drive
+        resonances = undamped_at(place.equations, place.drive)
+        endless = is_unbounded(resonances, place.angular_frequency)
+        return jnp.where(endless, jnp.nan, problem.drive)
 
     return jax.vmap(one)(paths, parameter)
 
@@ -182,10 +185,10 @@ def _states(paths, force, parameter, angle, period):
 
 @eqx.filter_jit
 def _exact(paths, guess, parameter, period, hold):
-    def one(path, guess, parameter):
+    def one(path, guess, parameter, hold):
         return exact_point(path.tables, guess, parameter, period, hold=hold)
 
-    return jax.vmap(one)(paths, guess, parameter)
+    return jax.vmap(one)(paths, guess, parameter, hold)
 
 
 @eqx.filter_jit
@@ -204,10 +207,11 @@ def make_exact(
     parameter: Float[AnyArray, " points"],
     *,
     period: int = 1,
-    hold: bool = False,
+    hold: bool | Bool[np.ndarray, " points"] = False,
 ) -> ExactPoint:
     """Turn sampled motions into exact ones, in batches; those that cannot be are not `valid`.
 
+    Those to `hold` stay at their parameter, others move across the branch.
     Where a motion breaks its sequence of contacts, the sequence is taken from the motion found and
     the search repeated.
     """
@@ -236,10 +240,11 @@ def exact_from(
     parameter: Float[AnyArray, " points"],
     *,
     period: int = 1,
-    hold: bool = False,
+    hold: bool | Bool[np.ndarray, " points"] = False,
 ) -> ExactPoint:
-    """Turn guesses of contact times into exact motions, in batches."""
+    """Turn guesses of contact times into exact motions, in batches; `hold` as in `make_exact`."""
     parameter = np.asarray(parameter)
+    held = np.broadcast_to(hold, parameter.shape)
 
     # Every batch has its own stack of paths, so that the number of lanes compiles nothing anew.
     paths = jax.device_get(paths)
@@ -255,7 +260,7 @@ def exact_from(
                 found,
                 _states_at(here, points.parameter, courses, there, section, period),
             )
-        return _exact(here, guess, at, period, jnp.asarray(hold))
+        return _exact(here, guess, at, period, held[i])
 
     best, courses = in_batches(solve, len(lane))
     for _ in range(REPAIRS):
@@ -268,7 +273,7 @@ def exact_from(
 
         again = in_batches(repair, len(left))
         best, courses = _put((best, courses), again, left)
-    if not isinstance(paths, FrequencyPath) and not hold:
+    if not isinstance(paths, FrequencyPath) and not held.all():
         # Near its value the path was taken to first order: once more from where the points are.
         guesses = Guess(best.events, best.orbit, np.ones(len(lane), bool))
         parameter = np.where(best.valid, best.parameter, parameter)

@@ -7,9 +7,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax._checks import nearest
+from vibrojax._signatures import validated
+from vibrojax.results.axes import coordinates_of, example, numbers_along, pick
 from vibrojax.results.saving import save_dataset
-from vibrojax.results.variables import VARIABLES, axis_description, described_as
+from vibrojax.results.variables import VARIABLES, described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -149,6 +150,7 @@ class Basins(eqx.Module):
         """Share of the starts that lead to a periodic motion."""
         return np.sum(np.where(self.period > 0, self.share, 0.0), axis=-1)[()]
 
+    @validated
     def name_of(self, attractor: int, index: tuple[int, ...] = ()) -> str:
         """Return what an attractor is, in words; `index` is the place along the other axes.
 
@@ -196,13 +198,7 @@ class Basins(eqx.Module):
         if self.sampling == "grid":
             edge = np.asarray(self.boundary_share)
             data["boundary_share"] = (outer, edge, told("boundary_share"))
-        coordinates: dict[str, Any] = {}
-        for name, axis in self.axes.items():
-            coordinates[name] = (
-                name,
-                axis,
-                told(name) if name in VARIABLES else axis_description(name),
-            )
+        coordinates: dict[str, Any] = coordinates_of(self.axes)
         for name, axis in self.starts.items():
             dimension = name if self.sampling == "grid" else "start"
             coordinates[name] = (dimension, axis, {"units": self.units.get(name, "1")})
@@ -211,29 +207,30 @@ class Basins(eqx.Module):
         coordinates["attractor_number"] = ("attractor_number", numbers, described)
         return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
 
+    @validated
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the dataset to a NetCDF file, whole or not at all.
 
-        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        `path` is that of the file, such as `curve.nc`; what is there is replaced. Raises
+        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
         """
         save_dataset(self.to_xarray(), path)
 
-    def place_of(self, selection: dict[str, Any]) -> tuple[tuple[int, ...], dict[str, float]]:
+    def place_of(self, selection: dict[str, Any]) -> tuple[tuple[int, ...], dict[str, Any]]:
         """Return the index along the other axes nearest to a selection, and the values there.
 
         Raises `ValueError` for an unknown axis, or one without a value.
         """
-        for name in selection:
-            if name not in self.axes:
-                raise ValueError(f"Unknown axis {name!r}. {nearest(name, self.axes)}")
-        index, chosen = [], {}
-        for name, axis in self.axes.items():
-            if name not in selection and len(axis) > 1:
-                raise ValueError(f"Give a value of {name} too, such as {name}={axis[0]:g}.")
-            at = int(np.argmin(np.abs(axis - selection.get(name, axis[0]))))
-            index.append(at)
-            chosen[name] = float(axis[at])
-        return tuple(index), chosen
+        index, chosen, left = pick(self.axes, selection)
+        for name in left:
+            if len(self.axes[name]) > 1:
+                told = example(self.axes, name)
+                raise ValueError(f"Give a value of {name} too, such as {told}.")
+        alone = {n: own[0].item() for name in left for n, own in self._along(name).items()}
+        return tuple(0 if isinstance(at, slice) else at for at in index), chosen | alone
+
+    def _along(self, name: str) -> dict[str, Array]:
+        return numbers_along(name, np.asarray(self.axes[name]))
 
     def plot(self, **selection: Any) -> "Figure":
         """Draw the attractor of every start over the two numbers.

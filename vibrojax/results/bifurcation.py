@@ -7,7 +7,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.results.regime_dataset import dataset_of, pick, tally
+from vibrojax._signatures import validated
+from vibrojax.results.axes import example, pick
+from vibrojax.results.regime_dataset import dataset_of, tally
 from vibrojax.results.regime_table import AbstractRegimeTable
 from vibrojax.results.saving import save_dataset
 
@@ -78,8 +80,8 @@ class BifurcationDiagram(AbstractRegimeTable):
         """
         index, _, left = pick(self.axes, selection)
         if left:
-            first = self.axes[left[0]][0]
-            raise ValueError(f"Give a value of {' and '.join(left)}, such as {left[0]}={first:g}.")
+            told = example(self.axes, left[0])
+            raise ValueError(f"Give a value of {' and '.join(left)}, such as {told}.")
         values, found = np.asarray(self.values), []
         for direction, period in zip(self.directions, self.period[index], strict=True):
             for k in np.flatnonzero(np.diff(period)):
@@ -101,10 +103,12 @@ class BifurcationDiagram(AbstractRegimeTable):
             self.coordinates, self.variables, self.orders, self.ratio_units, self.attributes
         )
 
+    @validated
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the dataset to a NetCDF file, whole or not at all.
 
-        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        `path` is that of the file, such as `curve.nc`; what is there is replaced. Raises
+        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
         """
         save_dataset(self.to_xarray(), path)
 

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from vibrojax.results.axes import example, pick
 from vibrojax.results.plotting import COLORS, GREY, LABEL, SMALL, WORDS
-from vibrojax.results.regime_dataset import pick
 from vibrojax.results.regime_plot import axis_label, titled, two_panels
 
 if TYPE_CHECKING:
@@ -30,8 +30,8 @@ def plot_bifurcation_diagram(diagram: "BifurcationDiagram", **selection: Any) ->
     index, chosen, left = pick(diagram.coordinates, selection)
     left = [n for n in left if n not in ("direction", diagram.parameter)]
     if left:
-        first = diagram.axes[left[0]][0]
-        raise ValueError(f"Give a value of {' and '.join(left)}, such as {left[0]}={first:g}.")
+        told = example(diagram.axes, left[0])
+        raise ValueError(f"Give a value of {' and '.join(left)}, such as {told}.")
     x = np.asarray(diagram.values)
     displacement, exponent = diagram["displacement"][index], diagram.lyapunov_exponent[index]
     error = diagram["lyapunov_standard_error"][index]

@@ -1,13 +1,17 @@
 """A branch of periodic responses: the result of a continuation."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import ArrayLike, Bool, Complex, Float
 
+from vibrojax._signatures import validated
+from vibrojax.results.axes import coordinates_of, pick
+from vibrojax.results.frequency_response import FrequencyResponse
+from vibrojax.results.saving import save_dataset
 from vibrojax.results.variables import VARIABLES, axis_unit
 from vibrojax.results.variables import axis_description as axis_description
 
@@ -173,7 +177,8 @@ class Branch(eqx.Module):
         """Where the motion first touches a stop."""
         return self._special("grazing")
 
-    def resample(self, values: Any) -> "xarray.Dataset":
+    @validated
+    def resample(self, values: ArrayLike | Sequence[Any]) -> "xarray.Dataset":
         """Return the responses at given values of the parameter, solved there anew.
 
         Dimensions are the parameter and `crossing`: a branch with folds passes a value several
@@ -184,6 +189,7 @@ class Branch(eqx.Module):
 
         return resample(self, values)
 
+    @validated
     def switch(self, number: int = 0, **settings: Any) -> "Branch":
         """Follow the branch of twice the period that leaves at a period doubling.
 
@@ -243,14 +249,19 @@ class Branch(eqx.Module):
         }
         return xarray.Dataset(data, coordinates, attrs=attributes)
 
+    @validated
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file.
+        """Write the dataset to a NetCDF file, whole or not at all.
 
-        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        `path` is that of the file, such as `curve.nc`; what is there is replaced. Raises
+        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
         """
-        self.to_xarray().to_netcdf(os.fspath(path), engine="h5netcdf")
+        save_dataset(self.to_xarray(), path)
 
-    def plot(self, variable: str = "amplitude_ratio", *, sweep: Any = None) -> "Figure":
+    @validated
+    def plot(
+        self, variable: str = "amplitude_ratio", *, sweep: FrequencyResponse | None = None
+    ) -> "Figure":
         """Draw one variable against the parameter: stable solid, unstable dashed, points marked.
 
         `sweep`, a `FrequencyResponse`, is laid over it. Raises `ValueError` for an unknown
@@ -290,7 +301,7 @@ class Branches(eqx.Module):
     """The branches of a continuation over further axes: one `Branch` per combination."""
 
     axes: dict[str, np.ndarray]
-    """Values of the axes of the call, by name."""
+    """Values of the axes of the call, by name; numbers that go together as a structured array."""
     branches: tuple[Branch, ...]
     """In the order of the crossed axes, the last one running fastest."""
 
@@ -308,20 +319,15 @@ class Branches(eqx.Module):
         """Lengths of the axes."""
         return tuple(len(v) for v in self.axes.values())
 
+    @validated
     def sel(self, **labels: float) -> Branch:
         """Return the branch nearest to a value of every axis: `labels`, by name.
 
         Raises `ValueError` for an axis that is unknown or left out.
         """
-        from vibrojax._checks import nearest
-
-        for name in labels:
-            if name not in self.axes:
-                raise ValueError(f"Unknown axis {name!r}. {nearest(name, self.axes)}")
-        missing = [name for name in self.axes if name not in labels]
+        index, _, missing = pick(self.axes, labels)
         if missing:
             raise ValueError(f"Give a value of {', '.join(missing)} too.")
-        index = tuple(int(np.argmin(np.abs(v - labels[n]))) for n, v in self.axes.items())
         return self.branches[int(np.ravel_multi_index(index, self.shape))]
 
     @property
@@ -333,7 +339,7 @@ class Branches(eqx.Module):
         """Return one dataset over the axes and `point`, branches filled up with NaN."""
         import xarray
 
-        parts = [b.to_xarray().drop_vars(list(self.axes), errors="ignore") for b in self.branches]
+        parts = [b.to_xarray().drop_vars(list(b.labels)) for b in self.branches]
         axis = self.branches[0].axis
         parts = [p.reset_coords([axis, "arclength"]) for p in parts]
         # Numbered points, so that shorter branches are filled up with NaN.
@@ -343,14 +349,16 @@ class Branches(eqx.Module):
             stacked[name] = ("lane", [str(getattr(b, name)) for b in self.branches])
         stacked["ticks"] = ("lane", [b.ticks for b in self.branches])
         names = list(self.axes)
-        grid = np.array([[b.labels[n] for n in names] for b in self.branches])
-        stacked = stacked.assign_coords({n: ("lane", grid[:, k]) for k, n in enumerate(names)})
-        return (
+        grid = np.indices(self.shape).reshape(len(names), -1)
+        stacked = stacked.assign_coords({n: ("lane", grid[k]) for k, n in enumerate(names)})
+        over_axes = (
             stacked.set_index(lane=names).unstack("lane")
             if len(names) > 1
-            else (stacked.swap_dims(lane=names[0]))
+            else stacked.swap_dims(lane=names[0])
         )
+        return over_axes.drop_vars(names).assign_coords(coordinates_of(self.axes))
 
+    @validated
     def plot(self, variable: str = "amplitude_ratio") -> "Figure":
         """Draw all branches in one picture, one colour each.
 

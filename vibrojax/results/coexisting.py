@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax._described import recipe
+from vibrojax._signatures import validated
 from vibrojax.results.variables import described_as
 from vibrojax.systems.base import AbstractSystem
 
@@ -58,6 +59,7 @@ class Coexisting(eqx.Module):
     system: AbstractSystem
     """What moves."""
 
+    @validated
     def branches(self, bounds: tuple[float, float], **settings: Any) -> "list[Branch]":
         """Follow every motion along the frequency, within the bounds, both ways.
 
@@ -74,6 +76,7 @@ class Coexisting(eqx.Module):
 
         return branches_of(self, bounds, **settings)
 
+    @validated(traceable=True)
     def history(self, index: int = 0, *, samples_per_period: int = 256) -> "History":
         """Return one of the motions over its period as a time history.
 

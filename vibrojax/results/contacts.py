@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
 from vibrojax._checks import check_range, is_traced, nearest
+from vibrojax._signatures import validated
 from vibrojax.response.between_samples import contact_rows, largest
 from vibrojax.response.finer_steps import Rows
 from vibrojax.results.status import Status
@@ -91,6 +92,7 @@ class Contacts:
         number = {"units": "1", "long_name": "Contact, from 1"}
         return xarray.Dataset(data, {"contact": ("contact", np.arange(1, len(self) + 1), number)})
 
+    @validated
     def plot(self, *columns: str) -> "Figure":
         """Draw columns of the table against the time of touch, one panel each.
 
@@ -187,8 +189,6 @@ def peak_of(
     time, states = samples_of(history, "peaks")
     allowed = f"at most {time[-1]:.6g} s, the end of the history"
     check_range("start", start, -np.inf, time[-1], allowed=allowed)
-    if position is not None and np.ndim(position):
-        raise ValueError(f"position must be one place x/L, got {position!r}.")
     if quantity == "contact_force":
         shape = np.zeros(history.coordinates.shape[1])
     else:

@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax._checks import check_not_negative, check_positive, concrete
+from vibrojax._described import in_short
+from vibrojax._signatures import validated
 from vibrojax.results.crossings import check_whole, crossings, curve_of
 from vibrojax.results.quantities import check_quantity, observables_of, unit_and_label
 from vibrojax.results.status import Status
@@ -100,6 +102,7 @@ class Cycles:
             left_out=sum(part.left_out for part in parts),
         )
 
+    @validated
     def statistics(
         self,
         edges: Sequence[float] | Float[np.ndarray, " edges"],
@@ -124,7 +127,7 @@ class Cycles:
         bounds = np.asarray(edges, float)
         if bounds.ndim != 1 or len(bounds) < 2 or not (np.diff(bounds) > 0).all():
             raise ValueError(
-                f"edges must be at least two increasing frequencies (Hz), got {edges!r}."
+                f"edges must be at least two increasing frequencies (Hz), got {in_short(edges)}."
             )
         if not isinstance(share_of, Mapping):
             share_of = dict.fromkeys(share_of, WITHIN)
@@ -205,6 +208,7 @@ class Cycles:
             data, {"cycle": ("cycle", cycle, described_as("cycle"))}, attrs=self._settings()
         )
 
+    @validated
     def plot(self, orders: Sequence[int] = (1, 3, 5)) -> "Figure":
         """Draw the length of every cycle in drive periods against the drive frequency.
 
@@ -212,7 +216,7 @@ class Cycles:
         """
         from vibrojax.results.chirp_plot import plot_cycles
 
-        return plot_cycles(self, orders)
+        return plot_cycles(self, tuple(orders))
 
     def __repr__(self) -> str:
         count = len(self.threshold)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax._checks import check_choice
+from vibrojax._signatures import validated
 from vibrojax.response.between_samples import flow
 from vibrojax.results.contacts import samples_of
 from vibrojax.results.variables import described_as
@@ -60,6 +61,7 @@ class EnergyFlow:
         size = max(np.max(self.total), np.max(np.abs(lost)), np.max(np.abs(self.input_work)))
         return missing / (size if size > 0 else 1.0)
 
+    @validated
     def mean_share(
         self, start: float | int | None = None, stop: float | int | None = None
     ) -> Float[np.ndarray, " modes"]:
@@ -106,6 +108,7 @@ class EnergyFlow:
         }
         return xarray.Dataset(data, coordinates)
 
+    @validated
     def plot(self, kind: str = "stacked") -> "Figure":
         """Draw the share of every mode against time, and the losses and the input below it.
 

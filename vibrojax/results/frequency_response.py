@@ -7,9 +7,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from vibrojax._signatures import validated
+from vibrojax.results.axes import coordinates_of
 from vibrojax.results.saving import save_dataset
 from vibrojax.results.status import Status
-from vibrojax.results.variables import VARIABLES, axis_description, described_as
+from vibrojax.results.variables import VARIABLES, described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -52,7 +54,8 @@ class FrequencyResponse(eqx.Module):
     directions: tuple[str, ...] = eqx.field(static=True)
     """Directions swept: `forward`, `backward`, or one of them."""
     axes: dict[str, Array]
-    """The other axes of the call, by name."""
+    """The other axes of the call, by name; numbers that go together (`vj.zipped`) as one structured
+    array."""
     ratio_units: str = eqx.field(static=True)
     """Unit of the ratios: `1` for base motion, `m/N` for a force."""
     amplitude_ratio: Float[Array, "..."]
@@ -175,22 +178,23 @@ class FrequencyResponse(eqx.Module):
             label = name.replace("_", " ").capitalize()
             labelled = {"units": units_of.get(name, "1"), "long_name": label}
             data[name] = (outer, np.asarray(getattr(self, name)), labelled)
-        coordinates: dict[str, Any] = {
-            name: (name, values, axis_description(name)) for name, values in self.axes.items()
-        }
+        coordinates: dict[str, Any] = coordinates_of(self.axes)
         directions = described_as("direction")
         coordinates["direction"] = ("direction", list(self.directions), directions)
         frequencies = np.asarray(self.frequencies)
         coordinates[self.axis] = (self.axis, frequencies, described(self.axis))
         return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
 
+    @validated
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the dataset to a NetCDF file, whole or not at all.
 
-        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        `path` is that of the file, such as `curve.nc`; what is there is replaced. Raises
+        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
         """
         save_dataset(self.to_xarray(), path)
 
+    @validated
     def plot(self, variable: str = "amplitude_ratio", **selection: Any) -> "Figure":
         """Draw one variable against frequency, both directions, jumps marked.
 

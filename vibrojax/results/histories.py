@@ -8,9 +8,11 @@ import jax
 import numpy as np
 from jaxtyping import ArrayLike
 
-from vibrojax._checks import check_count, nearest
+from vibrojax._checks import check_count
+from vibrojax._signatures import validated
+from vibrojax.results.axes import coordinates_of, example, pick
 from vibrojax.results.history import History
-from vibrojax.results.variables import axis_description, described_as
+from vibrojax.results.variables import described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -27,7 +29,7 @@ class Histories(eqx.Module):
     """
 
     axes: dict[str, np.ndarray]
-    """Values of the numbers that differ, by name."""
+    """Values of the numbers that differ, by name; those that go together as a structured array."""
     lanes: History
     """All of them, stacked along a leading axis."""
 
@@ -47,6 +49,7 @@ class Histories(eqx.Module):
     def __iter__(self) -> Iterator[History]:
         return (self[k] for k in range(len(self)))
 
+    @validated
     def at(self, **values: float) -> History:
         """Return the history nearest to a value of every axis.
 
@@ -54,16 +57,13 @@ class Histories(eqx.Module):
 
         `values` are numbers by name of the axes.
         """
-        for name in values:
-            if name not in self.axes:
-                raise ValueError(f"Unknown axis {name!r}. {nearest(name, self.axes)}")
-        missing = [name for name in self.axes if name not in values]
+        place, _, missing = pick(self.axes, values)
         if missing:
-            name = missing[0]
-            raise ValueError(f"Give a value of {name} too, such as {self.axes[name][0]}.")
-        place = [int(np.argmin(np.abs(axis - values[n]))) for n, axis in self.axes.items()]
+            told = example(self.axes, missing[0])
+            raise ValueError(f"Give a value of {missing[0]} too, such as {told}.")
         return self[int(np.ravel_multi_index(place, self.shape)) if place else 0]
 
+    @validated
     def cycles(
         self,
         quantity: str = "displacement",
@@ -82,6 +82,7 @@ class Histories(eqx.Module):
 
         return cycles_of_each(self, quantity, level, threshold)
 
+    @validated
     def plot(
         self, quantity: str = "displacement", position: ArrayLike | None = None, *, most: int = 8
     ) -> "Figure":
@@ -125,9 +126,7 @@ class Histories(eqx.Module):
         }
         status = [one.attrs["status"] for one in each]
         data["status"] = (tuple(self.axes), np.reshape(status, self.shape), described_as("status"))
-        coordinates = {
-            name: ((name,), values, axis_description(name)) for name, values in self.axes.items()
-        }
+        coordinates = coordinates_of(self.axes)
         attributes = {k: v for k, v in first.attrs.items() if k != "status"}
         return xarray.Dataset(data, {**first.coords, **coordinates}, attrs=attributes)
 

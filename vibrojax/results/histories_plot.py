@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from matplotlib.figure import Figure
 
+from vibrojax.results.axes import axis_scale
 from vibrojax.results.plotting import (
     LABEL,
     LINE_STYLES,
@@ -27,11 +28,11 @@ def plot_histories(
     figure, axes = new_picture()
     shown = np.unique(np.linspace(0, len(histories) - 1, min(most, len(histories))).round())
     shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.85, len(shown)))
-    names = list(histories.axes)
+    scales = [axis_scale(histories.axes, name) for name in histories.axes]
     for order, (k, shade) in enumerate(zip(shown.astype(int), shades, strict=True)):
         history = histories[int(k)]
-        place = np.unravel_index(k, histories.shape) if names else ()
-        numbers = (f"{n} = {histories.axes[n][i]:.5g}" for n, i in zip(names, place, strict=True))
+        place = np.unravel_index(k, histories.shape) if scales else ()
+        numbers = (scale.labels[i] for scale, i in zip(scales, place, strict=True))
         axes.plot(
             np.asarray(history.time),
             np.asarray(history.quantity(quantity, position)),

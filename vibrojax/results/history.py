@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from vibrojax._checks import check_choice, is_traced
+from vibrojax._checks import check_choice, check_one, check_range, is_traced
 from vibrojax._described import recipe
+from vibrojax._signatures import validated
 from vibrojax.results.quantities import (
     QUANTITIES,
     STRAIN_POWER,
@@ -90,14 +91,26 @@ class History(eqx.Module):
         status = jnp.where(ended, Status.completed.value, Status.diverged.value)
         return cls(system, motion, time, q, v, accelerations, force, memory, status)
 
+    @property
+    def states(self) -> Float[Array, "samples states"]:
+        """States (q, q', memories of stops), as `initial_state=` and `guess=` take them.
+
+        After whole drive periods the drive is at phase 0 again, from where a motion goes on.
+        """
+        return jnp.concatenate([self.coordinates, self.rates, self.memory], axis=-1)
+
     def _shape(self, position: ArrayLike | None) -> Float[Array, " coordinates"]:
         equations = self.motion.equations
         if position is None and isinstance(equations, LinearEquations):
             return equations.response_map
         if position is None or not isinstance(self.system, ImpactingBeam):
             raise ValueError("Only the history of a beam has a position along it.")
+        check_one("position", position, "place x/L")
+        allowed = "from 0 (root) to 1 (tip)"
+        check_range("position", position, 0.0, 1.0, allowed=allowed, advice="It is x/length.")
         return self.system.modes().shape(position)
 
+    @validated(traceable=True)
     def displacement(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
         """Displacement relative to the base at s = x/L of a beam, m.
 
@@ -107,6 +120,7 @@ class History(eqx.Module):
         """
         return displacement_of(self, position)[0]
 
+    @validated(traceable=True)
     def velocity(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
         """Velocity relative to the base at s = x/L, m/s.
 
@@ -115,6 +129,7 @@ class History(eqx.Module):
         """
         return displacement_of(self, position)[1]
 
+    @validated(traceable=True)
     def acceleration(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
         """Acceleration relative to the base at s = x/L, m/s2.
 
@@ -126,6 +141,7 @@ class History(eqx.Module):
         """
         return displacement_of(self, position)[2]
 
+    @validated(traceable=True)
     def quantity(self, name: str, position: ArrayLike | None = None) -> Float[Array, " samples"]:
         """Return a quantity by name; the contact force is that of all stops together.
 
@@ -135,6 +151,7 @@ class History(eqx.Module):
         """
         return quantity_of(self, name, position)[0]
 
+    @validated
     def spectrum(
         self,
         quantity: str = "displacement",
@@ -190,6 +207,7 @@ class History(eqx.Module):
             units=units,
         )
 
+    @validated
     def cycles(
         self,
         quantity: str = "displacement",
@@ -217,6 +235,7 @@ class History(eqx.Module):
 
         return cycles_of(self, quantity, level, threshold)
 
+    @validated
     def poincare(
         self,
         quantity: str = "displacement",
@@ -262,6 +281,7 @@ class History(eqx.Module):
 
         return contacts_of(self)
 
+    @validated
     def peak(
         self,
         quantity: str = "acceleration",
@@ -336,6 +356,7 @@ class History(eqx.Module):
         attributes = {"status": Status(int(self.status)).name, "rig": recipe(self.system)}
         return xarray.Dataset(data, coordinates, attrs=attributes)
 
+    @validated
     def plot(self, quantity: str = "displacement", position: ArrayLike | None = None) -> "Figure":
         """Draw a quantity and the contact force against time.
 
@@ -346,6 +367,7 @@ class History(eqx.Module):
 
         return plot_history(self, quantity, position)
 
+    @validated
     def plot_chirp(self, *quantities: str) -> "Figure":
         """Draw the drive, quantities and the drive frequency against time, one below the other.
 

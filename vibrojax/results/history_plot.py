@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from matplotlib.figure import Figure
 
+from vibrojax._checks import check_one
 from vibrojax.results.plotting import Picture
 from vibrojax.results.quantities import QUANTITIES, check_quantity, unit_and_label
 from vibrojax.systems.impacting_beam import ImpactingBeam
@@ -25,6 +26,7 @@ def plot_history(history: "History", quantity: str, position: ArrayLike | None) 
     unit, label = unit_and_label(quantity)
     if position is None and isinstance(history.system, ImpactingBeam):
         position = 1.0
+    check_one("position", position, "place x/L")
     nowhere = position is None or quantity == "contact_force" or quantity not in QUANTITIES
     place = "" if nowhere else f" at x/L = {float(np.asarray(position)):g}"
     values = history.quantity(quantity, None if nowhere else position)

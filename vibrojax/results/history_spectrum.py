@@ -40,8 +40,6 @@ def spectrum_of_history(
         )
     if int(history.status) != Status.completed.value:
         raise ValueError(f"This history has no spectrum: it {Status(int(history.status)).name}.")
-    if position is not None and np.ndim(position):
-        raise ValueError(f"position must be one place x/L, got {position!r}.")
     time = np.asarray(history.time)
     inside = time >= start
     if np.sum(inside) < 9:

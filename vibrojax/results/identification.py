@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vibrojax._described import recipe
+from vibrojax._files import path_of
+from vibrojax._signatures import validated
+from vibrojax.results.saving import whole_files
 
 if TYPE_CHECKING:
     import xarray
@@ -113,6 +116,7 @@ class Identification:
         """Coordinate in which each number moved: `log`, `asinh` or `linear`."""
         return {c.name: c.kind for c in self.problem.coordinates}
 
+    @validated
     def residuals(self, direction: str | None = None, measurement: int = 0) -> np.ndarray:
         """Residuals of one measurement; of a curve, of the `forward` or `backward` sweep only.
 
@@ -132,6 +136,7 @@ class Identification:
         measured: Any = self.measured[measurement]
         return values[measured.direction == ways[direction]]
 
+    @validated
     def system(self, measurement: int = 0) -> Any:
         """Return the fitted rig.
 
@@ -145,6 +150,7 @@ class Identification:
         fitted = {n: self.estimate[own_name(asked, n, measured, measurement)] for n in arguments}
         return asked.make(**asked.numbers, **measured.parameters, **fitted)
 
+    @validated
     def branch(self, measurement: int = 0) -> "Branch":
         """Follow the fitted curve by `continue_response`: exact, with its stability.
 
@@ -159,6 +165,7 @@ class Identification:
         branch: Any = continue_response(self.system(measurement), **along)
         return branch
 
+    @validated
     def profile(self, name: str, *, points: int = 9, reach: float = 2.5) -> "Profile":
         """Profile likelihood of one number: fixed at values around its estimate, others refitted.
 
@@ -169,6 +176,7 @@ class Identification:
 
         return profile(self, name, points=points, reach=reach)
 
+    @validated
     def sample(self, draws: int = 1000, *, seed: int = 0) -> "Posterior":
         """Sample the posterior with blackjax: 256 evaluations, independent proposals.
 
@@ -182,6 +190,7 @@ class Identification:
 
         return sample(self, draws, seed=seed)
 
+    @validated
     def what_next(self, name: str, **changes: Any) -> "WhatNext":
         """Say which further points would sharpen one number most.
 
@@ -192,6 +201,7 @@ class Identification:
 
         return what_next(self, name, **changes)
 
+    @validated
     def plot(self, measurement: int = 0) -> "Figure":
         """Draw the fitted curve over the measured points, the residuals and the estimates.
 
@@ -286,15 +296,20 @@ class Identification:
             "notes": list(self.notes),
         }
 
+    @validated
     def save(self, path: str | Path) -> tuple[Path, Path]:
         """Write the report as JSON and the picture as PNG beside it; returns both paths.
 
-        `path` is that of either file; its ending is exchanged.
+        `path` is that of either file; its ending is exchanged. Both take their places, or none.
+        Raises `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
         """
-        path = Path(path)
+        path = path_of("path", path)
         data, picture = path.with_suffix(".json"), path.with_suffix(".png")
-        data.write_text(json.dumps(self.report(), indent=2) + "\n")
-        self.plot().savefig(picture, dpi=150)
+        with whole_files(data, picture) as (report, drawing):
+            assert report is not None
+            assert drawing is not None
+            report.write_text(json.dumps(self.report(), indent=2) + "\n")
+            self.plot().savefig(drawing, format="png", dpi=150)
         return data, picture
 
     def __repr__(self) -> str:

@@ -2,11 +2,14 @@
 
 from typing import TYPE_CHECKING, Any
 
+from vibrojax._signatures import validated
+
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
 
+@validated
 def plot_map(
     dataset: "xarray.Dataset",
     variable: str | None = None,
@@ -22,7 +25,7 @@ def plot_map(
     in all, the variable is drawn as lines.
 
     Parameters:
-        dataset: result of `parameter_map`, or `xarray.open_zarr(store, consolidated=False)`.
+        dataset: result of `parameter_map`, or `xarray.open_zarr(store)`.
         variable: what to draw; by default `peak_amplitude_ratio`, else `amplitude_ratio`.
         x, y: names of the axes to draw over.
         selection: a value of any other axis, the nearest one is taken; `direction` by name.
@@ -35,6 +38,7 @@ def plot_map(
     return map_plot.plot_map(dataset, variable, x=x, y=y, **selection)
 
 
+@validated
 def plot_map_summary(dataset: "xarray.Dataset") -> "Figure":
     """Draw a map on one page: its measures, what they depend on most, and how its lanes ended.
 

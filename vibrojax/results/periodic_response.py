@@ -5,10 +5,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
+from vibrojax._signatures import validated
+from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES
-from vibrojax.systems.base import AbstractSystem
+from vibrojax.stepping.resonance import is_unbounded, unbounded_at
+from vibrojax.systems.base import AbstractSystem, LinearEquations
 
 if TYPE_CHECKING:
     import xarray
@@ -28,6 +32,12 @@ NUMBERS = (
     "residual",
     "frequency",
 )
+
+
+ELSEWHERE = 0.3
+"""Farthest that a motion may lie from its guess, over its size, without a word."""
+SAME = 1e-6
+"""Relative distance of states below which a motion has returned."""
 
 
 class Sampled(NamedTuple):
@@ -61,13 +71,21 @@ class PeriodicResponse(eqx.Module):
     contacts_per_period: Float[Array, "*lanes"]
     """Contacts per drive period."""
     initial_state: Float[Array, "*lanes states"]
-    """(q, q') at drive phase 0, m and m/s."""
+    """(q, q') at drive phase 0, m and m/s, in the coordinates of the system: as `guess=`,
+    `initial_state=`, `start=` and `starts=` take it."""
     floquet_multipliers: Complex[Array, "*lanes states"]
     """Eigenvalues of the Jacobian of the map over `period` drive periods; without derivative."""
     residual: Float[Array, "*lanes"]
     """Relative residual of the motion."""
     status: Int[Array, "*lanes"]
-    """0 where the motion was found, 1 where the search failed."""
+    """0 where the motion was found, 1 where the search failed, `Status.unbounded` where an undamped
+    mode that no stop holds is driven at its own frequency."""
+    minimal_period: Int[Array, "*lanes"]
+    """Drive periods after which the motion repeats first, a divisor of `period`; 0 where none was
+    found."""
+    guess_distance: Float[Array, "*lanes"]
+    """Distance of the motion from the guess at drive phase 0, over its own size, both in the norm
+    of energy; NaN where there was no guess or no motion was found."""
     frequency: Float[Array, "*lanes"]
     """Drive frequency, Hz."""
     frequency_ratio: Float[Array, "*lanes"]
@@ -117,6 +135,8 @@ class PeriodicResponse(eqx.Module):
     @property
     def sentence(self) -> str:
         """The status in words."""
+        if (np.asarray(self.status) == Status.unbounded.value).any():
+            return Status.unbounded.sentence
         if np.asarray(self.status).any():
             return "No periodic motion was found: the numbers mean nothing."
         kind = {
@@ -125,10 +145,34 @@ class PeriodicResponse(eqx.Module):
             "period doubling": "unstable: past a period doubling (a real multiplier below -1)",
             "Neimark-Sacker": "unstable: past a Neimark-Sacker point (a complex pair outside)",
         }
-        return f"The motion repeats after {self.period} drive period(s) and is " + (
+        motion = f"The motion repeats after {self.period} drive period(s) and is " + (
             kind[self.instability] + "."
         )
+        return " ".join((motion, *self.notes))
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of a motion that was found: where a guess led, in sentences.
+
+        Raises `ValueError` for a batch: pick one lane.
+        """
+        if np.ndim(self.status):
+            raise ValueError("notes are of one response: pick one lane of the batch.")
+        told = []
+        sooner, distance = int(self.minimal_period), float(self.guess_distance)
+        if 0 < sooner < self.period:
+            told.append(
+                f"It repeats after {sooner} drive period(s) already: it is no motion of period "
+                f"{self.period}."
+            )
+        if distance > ELSEWHERE:
+            told.append(
+                f"It lies {distance:.2g} of its size away from the guess: it may be another motion "
+                "than the one meant."
+            )
+        return tuple(told)
+
+    @validated(traceable=True)
     def history(self, samples_per_period: int = 256) -> "History":
         """Return the motion over its period as a time history.
 
@@ -163,7 +207,13 @@ class PeriodicResponse(eqx.Module):
 
         data: dict[str, Any] = {
             name: (lanes, np.asarray(getattr(self, name)), described(name))
-            for name in (*NUMBERS, "frequency_ratio", "status")
+            for name in (
+                *NUMBERS,
+                "frequency_ratio",
+                "minimal_period",
+                "guess_distance",
+                "status",
+            )
         }
         multipliers = np.asarray(self.floquet_multipliers)
         for part, values in (("real", np.real(multipliers)), ("imaginary", np.imag(multipliers))):
@@ -179,7 +229,9 @@ class PeriodicResponse(eqx.Module):
     def __repr__(self) -> str:
         if np.ndim(self.status):
             failed = int(np.sum(np.asarray(self.status) != 0))
-            return f"PeriodicResponse(batch of {np.shape(self.status)}, {failed} not found)"
+            far = int(np.sum(np.asarray(self.guess_distance) > ELSEWHERE))
+            told = f"{failed} not found" + (f", {far} far from their guess" if far else "")
+            return f"PeriodicResponse(batch of {np.shape(self.status)}, {told})"
         try:
             values = [f"  {name:22s}{float(getattr(self, name)):.6g}" for name in NUMBERS]
         except TypeError:  # being traced
@@ -193,15 +245,26 @@ def reading_of(
     reading: Any,
     *,
     period: int,
+    strobes: Float[Array, "periods states"],
+    guess: Float[Array, " states"] | None,
     multipliers: Array,
     residual: Array,
     converged: Array,
     exact: bool,
 ) -> PeriodicResponse:
-    """Put what was read off a motion into ratios to the drive."""
+    """Put what was read off a motion into ratios to the drive.
+
+    `strobes` are its states at drive phase 0, one for each drive period of it.
+    """
+    converged = converged & jnp.all(jnp.isfinite(strobes))
+    sooner, distance = compared(place, lax.stop_gradient(strobes), guess)
     reference, units = place.drive.reference
     natural = getattr(place.equations, "angular_frequency", None)
     w = place.angular_frequency
+    resonances = unbounded_at(place.equations, place.drive)
+    grows = is_unbounded(lax.stop_gradient(resonances), w)
+    converged = converged & ~grows
+    status = jnp.where(converged, 0, jnp.where(grows, Status.unbounded.value, 1))
     lost = jnp.where(converged, 0.0, jnp.nan)
     return PeriodicResponse(
         amplitude_ratio=(reading.highest - reading.lowest) / 2 / reference + lost,
@@ -214,7 +277,9 @@ def reading_of(
         initial_state=reading.initial_state,
         floquet_multipliers=multipliers,
         residual=residual,
-        status=jnp.where(converged, 0, 1).astype(jnp.int32),
+        status=status.astype(jnp.int32),
+        minimal_period=jnp.where(converged, sooner, 0).astype(jnp.int32),
+        guess_distance=jnp.where(converged, distance, jnp.nan),
         frequency=w / (2 * jnp.pi),
         frequency_ratio=w * jnp.nan if natural is None else w / natural[0],
         period=period,
@@ -222,3 +287,27 @@ def reading_of(
         ratio_units=units,
         system=system,
     )
+
+
+def compared(place: Any, strobes: Array, guess: Array | None) -> tuple[Array, Array]:
+    """Return the periods after which a motion repeats first, and its distance from a guess."""
+    equations, count = place.equations, strobes.shape[0]
+    if isinstance(equations, LinearEquations):
+        weight = equations.energy_weight
+    else:
+        n = equations.size
+        weight = jnp.ones(strobes.shape[1]).at[n : 2 * n].set(1 / place.angular_frequency)
+    weight = lax.stop_gradient(weight)
+    size = jnp.max(jnp.linalg.norm(strobes * weight, axis=1))
+    size = jnp.where(size > 0, size, 1.0)
+
+    def away(other: Array) -> Array:
+        return jnp.max(jnp.linalg.norm((strobes - other) * weight, axis=1)) / size
+
+    sooner = jnp.asarray(count)
+    for shift in [n for n in range(count - 1, 0, -1) if count % n == 0]:
+        sooner = jnp.where(away(jnp.roll(strobes, shift, axis=0)) < SAME, shift, sooner)
+    if guess is None:
+        return sooner, jnp.asarray(jnp.nan)
+    apart = jnp.linalg.norm((strobes[0] - lax.stop_gradient(guess)) * weight)
+    return sooner, apart / size

@@ -18,6 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from vibrojax._checks import nearest
 from vibrojax.modes import Modes
+from vibrojax.results.axes import axis_scale, example, pick
 from vibrojax.results.frequency_response import FrequencyResponse
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES, named_value
@@ -79,11 +80,11 @@ def plot_frequency_response(
     if variable not in response.curves:
         raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, response.curves)}")
     directions = _directions(response, selection)
-    index, chosen, left = _select(response, selection)
+    index, chosen, left = pick(response.axes, selection, others=("direction",))
     if len(left) > 1:
         raise ValueError(
             f"{len(left)} axes are left, {' and '.join(left)}: give a value of all but one, such "
-            f"as plot({left[0]}={float(response.axes[left[0]][0]):g})."
+            f"as plot({example(response.axes, left[0])})."
         )
     figure, axes = new_picture()
     if left:
@@ -108,29 +109,6 @@ def _directions(response: FrequencyResponse, selection: dict[str, Any]) -> tuple
             f"got {wanted!r}."
         )
     return (wanted,)
-
-
-def _select(
-    response: FrequencyResponse, selection: dict[str, Any]
-) -> tuple[tuple[Any, ...], dict[str, float], list[str]]:
-    """Return the index into the axes, the values chosen, and the names of the axes left."""
-    for name, value in selection.items():
-        if name not in response.axes:
-            known = [*response.axes, "direction"]
-            raise ValueError(f"Unknown axis {name!r}. {nearest(name, known)}")
-        if np.ndim(value) or not isinstance(value, int | float | np.generic | np.ndarray):
-            raise ValueError(f"{name} must be one number, got {value!r}.")
-        if not np.isfinite(value):
-            raise ValueError(f"{name} must be finite, got {value!r}.")
-    index, chosen = [], {}
-    for name, values in response.axes.items():
-        if name in selection:
-            at = int(np.argmin(np.abs(values - selection[name])))
-            index.append(at)
-            chosen[name] = float(values[at])
-        else:
-            index.append(slice(None))
-    return tuple(index), chosen, [name for name in response.axes if name not in selection]
 
 
 class _Lane:
@@ -190,6 +168,7 @@ def _draw_curve(
     lost = lane.of_status(direction, Status.aperiodic)
     axes.plot(x[lost], y[lost], markersize=8, markerfacecolor="white", markeredgewidth=1.4, **marks)
     gone = lane.of_status(direction, Status.diverged)
+    gone |= lane.of_status(direction, Status.unbounded)
     if gone.any():
         at_bottom = axes.get_xaxis_transform()
         marks["marker"] = "x"
@@ -273,7 +252,7 @@ def _single(
 def _from_zero(axes: Axes, variable: str) -> None:
     """Let an axis of sizes begin at zero, and name the values of a status."""
     if variable == "status":
-        shown = (Status.settled, Status.aperiodic, Status.diverged)
+        shown = (Status.settled, Status.aperiodic, Status.diverged, Status.unbounded)
         axes.set_yticks([s.value for s in shown], [s.name for s in shown])
     elif variable == "period":
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -291,7 +270,8 @@ def _family(
     index: tuple[Any, ...],
     name: str,
 ) -> None:
-    values = np.asarray(response.axes[name], float)
+    scale = axis_scale(response.axes, name)
+    values = scale.places
     place = list(response.axes).index(name)
     many = len(values) > MAX_LINES
     colors = matplotlib.colormaps["viridis"]
@@ -300,7 +280,7 @@ def _family(
         norm = (LogNorm if spread > 30 else Normalize)(values.min(), values.max())
         shades = [colors(norm(v)) for v in values]
         bar = figure.colorbar(ScalarMappable(norm, colors), ax=axes, pad=0.02)
-        bar.set_label(name, fontsize=LABEL)
+        bar.set_label(scale.number + scale.partners, fontsize=LABEL)
         bar.ax.tick_params(labelsize=SMALL)
     else:
         # The bright yellow end is not legible on white.
@@ -314,7 +294,7 @@ def _family(
             if direction in lane.jumps:
                 _draw_jump(axes, lane, direction, shade)
     lines = [] if many else [Line2D([], [], color=shade, linewidth=3) for shade in shades]
-    labels = [] if many else [named_value(name, float(v)) for v in values]
+    labels = [] if many else scale.labels
     _from_zero(axes, variable)
     grey = dict.fromkeys(directions, GREY)
     _legend(axes, response.directions, lanes, directions, grey, (lines, labels))
@@ -353,6 +333,8 @@ def _legend(
         add(f"no period found ({counted(Status.aperiodic)})", marker=">", **hollow, **marks)
     if count(Status.diverged):
         add(f"diverged ({counted(Status.diverged)})", marker="x", **marks)
+    if count(Status.unbounded):
+        add(f"unbounded ({counted(Status.unbounded)})", marker="x", **marks)
     outside_legend(axes, lines, labels)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax._checks import check_choice, check_range, nearest
+from vibrojax._signatures import validated
 from vibrojax.results.crossings import check_whole, crossings, curve_of, curve_through
 from vibrojax.results.quantities import observable_motion, observables_of, unit_and_label
 from vibrojax.results.variables import described_as
@@ -66,6 +67,7 @@ class PoincareSection:
         number = ("point", np.arange(1, len(self) + 1), described_as("point"))
         return xarray.Dataset(data, {"point": number}, attrs=attributes)
 
+    @validated
     def plot(self, x: str | None = None, y: str | None = None) -> "Figure":
         """Draw one variable against another, by default the rate of the quantity against it.
 
@@ -80,6 +82,7 @@ class PoincareSection:
         x = (self.quantity if self.level is None else "drive_phase") if x is None else x
         return plot_section(self, x, rate if y is None else y)
 
+    @validated
     def column(self, name: str) -> tuple[Float[np.ndarray, " points"], str]:
         """Return a variable by name, and its label with its unit.
 

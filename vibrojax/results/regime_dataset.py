@@ -1,12 +1,11 @@
-"""What the results of regimes and diagrams share: datasets, files, picking a lane."""
+"""What the results of regimes and diagrams share: datasets and words."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vibrojax._checks import nearest
-from vibrojax.results.branch import axis_description
+from vibrojax.results.axes import coordinates_of
 from vibrojax.results.regime_kinds import Regime
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES, described_statistic
@@ -53,11 +52,7 @@ def dataset_of(
     for name, values in variables.items():
         inner = (INNER[name],) if name in INNER else ()
         data[name] = ((*dims, *inner), values, description(name, ratio_units))
-    own: dict[str, Any] = {}
-    for name, values in coordinates.items():
-        numbers = np.asarray(values)
-        told = axis_description(name) if numbers.dtype.kind in "fiu" else {}
-        own[name] = ((name,), numbers, told)
+    own: dict[str, Any] = coordinates_of(coordinates)
     if "displacement" in variables:
         count = variables["displacement"].shape[-1]
         told = {"units": "1", "long_name": VARIABLES["strobe"].long_name}
@@ -66,37 +61,6 @@ def dataset_of(
         told = {"units": "1", "long_name": VARIABLES["order"].long_name}
         own["order"] = (("order",), orders, told)
     return xarray.Dataset(data, own, attrs=dict(attributes))
-
-
-def pick(
-    coordinates: Mapping[str, Array], selection: Mapping[str, Any]
-) -> tuple[tuple[Any, ...], dict[str, Any], list[str]]:
-    """Return the index of a selection (nearest values), what was chosen, and the axes left.
-
-    Raises `ValueError` for an unknown axis or a value that is none of it.
-    """
-    for name in selection:
-        if name not in coordinates:
-            raise ValueError(f"Unknown axis {name!r}. {nearest(name, coordinates)}")
-    index: list[Any] = []
-    chosen: dict[str, Any] = {}
-    for name, values in coordinates.items():
-        if name not in selection:
-            index.append(slice(None))
-            continue
-        values, wanted = np.asarray(values), selection[name]
-        if values.dtype.kind not in "fiu":
-            if wanted not in values.tolist():
-                known = ", ".join(map(repr, values.tolist()))
-                raise ValueError(f"{name} must be one of {known}, got {wanted!r}.")
-            at = values.tolist().index(wanted)
-        elif np.ndim(wanted) or isinstance(wanted, str) or not np.isfinite(wanted):
-            raise ValueError(f"{name} must be one finite number, got {wanted!r}.")
-        else:
-            at = int(np.argmin(np.abs(values - wanted)))
-        index.append(at)
-        chosen[name] = values[at].item()
-    return tuple(index), chosen, [name for name in coordinates if name not in selection]
 
 
 def tally(kind: Array) -> str:

@@ -13,9 +13,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from vibrojax.results.axes import AxisScale, axis_scale, example, pick
 from vibrojax.results.branch import axis_description
 from vibrojax.results.plotting import DPI, GREY, LABEL, SMALL, Picture, new_picture
-from vibrojax.results.regime_dataset import description, pick
+from vibrojax.results.regime_dataset import description
 from vibrojax.results.regime_kinds import Regime
 from vibrojax.results.variables import named_value
 
@@ -46,6 +47,10 @@ def axis_label(name: str) -> str:
     """Return the long name of an axis with its unit."""
     told = axis_description(name)
     return told["long_name"] + ("" if told["units"] == "1" else f" ({told['units']})")
+
+
+def _scale_label(scale: AxisScale) -> str:
+    return axis_label(scale.number) + scale.partners
 
 
 def variable_label(name: str) -> str:
@@ -133,22 +138,23 @@ def plot_regimes(regimes: "Regimes", **selection: Any) -> Figure:
     """Draw kinds, periods and exponents against frequency; see `Regimes.plot`."""
     index, chosen, left = pick(regimes.axes, selection)
     if len(left) > 1:
-        first = regimes.axes[left[0]][0]
         raise ValueError(
             f"{len(left)} axes are left, {' and '.join(left)}: give a value of all but one, such "
-            f"as plot({left[0]}={first:g})."
+            f"as plot({example(regimes.axes, left[0])})."
         )
     figure, (upper, lower) = two_panels()
     x = np.asarray(regimes.frequencies)
     kind, period = regimes.regime[index], regimes.period[index]
     exponent = regimes.lyapunov_exponent[index]
     if left:
-        y = np.asarray(regimes.axes[left[0]], float)
-        _category_map(upper, x, y, kind, period)
-        _exponent_map(figure, lower, x, y, exponent)
+        scale = axis_scale(regimes.axes, left[0])
+        _category_map(upper, x, scale.places, kind, period)
+        _exponent_map(figure, lower, x, scale.places, exponent)
         for axes in (upper, lower):
             axes.grid(False)
-            axes.set_ylabel(axis_label(left[0]), fontsize=LABEL)
+            axes.set_ylabel(_scale_label(scale), fontsize=LABEL)
+            if not scale.is_scale:
+                axes.set_yticks(scale.places, scale.labels)
             if left[0] == "start":
                 axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         titled(lower, chosen)
@@ -228,7 +234,7 @@ def plot_poincare(regimes: "Regimes", **selection: Any) -> Figure:
     if len(left) > 1:
         raise ValueError(
             f"{len(left)} axes are left, {' and '.join(left)}: give a value of all but one, such "
-            f"as poincare({left[-1]}={regimes.coordinates[left[-1]][0]:g})."
+            f"as poincare({example(regimes.coordinates, left[-1])})."
         )
     displacement, velocity = (regimes[n][index] for n in ("displacement", "velocity"))
     kind, period = regimes.regime[index], regimes.period[index]
@@ -242,18 +248,19 @@ def plot_poincare(regimes: "Regimes", **selection: Any) -> Figure:
         word = regime.word + (f", period {int(period)}" if period > 0 else "")
         axes.set_title(", ".join([word, *_told(chosen)]), fontsize=LABEL, loc="left")
     else:
-        values = regimes.coordinates[left[0]]
+        scale = axis_scale(regimes.coordinates, left[0])
+        values = scale.places
         shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, len(values)))
         for k, shade in enumerate(shades):
             axes.plot(displacement[k], velocity[k], ".", color=shade, markersize=5)
         if len(values) <= 8:
             handles = [Line2D([], [], marker="o", linestyle="none", color=s) for s in shades]
-            axes.legend(handles, [f"{left[0]} = {v:g}" for v in values], fontsize=SMALL)
+            axes.legend(handles, scale.labels, fontsize=SMALL)
         else:
             ends = Normalize(float(np.min(values)), float(np.max(values)))
             shown = ScalarMappable(ends, matplotlib.colormaps["viridis"])
             bar = figure.colorbar(shown, ax=axes, pad=0.02)
-            bar.set_label(axis_label(left[0]), fontsize=LABEL)
+            bar.set_label(_scale_label(scale), fontsize=LABEL)
         titled(axes, chosen)
     axes.set_xlabel("Displacement at drive phase 0 (m)", fontsize=LABEL)
     axes.set_ylabel("Velocity at drive phase 0 (m/s)", fontsize=LABEL)
@@ -271,8 +278,8 @@ def plot_order_spectrum(regimes: "Regimes", **selection: Any) -> Figure:
     index, chosen, left = pick(regimes.coordinates, selection)
     left = [name for name in left if len(regimes.coordinates[name]) > 1]
     if left:
-        first = regimes.coordinates[left[0]][0]
-        raise ValueError(f"Give a value of {' and '.join(left)}, such as {left[0]}={first:g}.")
+        told = example(regimes.coordinates, left[0])
+        raise ValueError(f"Give a value of {' and '.join(left)}, such as {told}.")
     lines = regimes["spectrum"][index].reshape(-1)
     figure, axes = new_picture()
     axes.semilogy(regimes.orders, lines, color=KIND_COLORS[Regime.periodic], linewidth=1.3)

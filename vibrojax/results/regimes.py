@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax._checks import nearest
+from vibrojax._signatures import validated
 from vibrojax.results.regime_dataset import dataset_of, tally
 from vibrojax.results.regime_kinds import Regime
 from vibrojax.results.regime_table import AbstractRegimeTable
@@ -55,6 +56,7 @@ class Regimes(AbstractRegimeTable):
         """Values along every dimension of the lanes."""
         return self.axes | {self.axis: np.asarray(self.frequencies)}
 
+    @validated
     def fraction(self, kind: str) -> float:
         """Return the share of the lanes of a kind: `periodic`, `chaotic`, ...
 
@@ -71,10 +73,12 @@ class Regimes(AbstractRegimeTable):
             self.coordinates, self.variables, self.orders, self.ratio_units, self.attributes
         )
 
+    @validated
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the dataset to a NetCDF file, whole or not at all.
 
-        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        `path` is that of the file, such as `curve.nc`; what is there is replaced. Raises
+        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
         """
         save_dataset(self.to_xarray(), path)
 

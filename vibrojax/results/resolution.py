@@ -24,18 +24,25 @@ class ResolutionCheck(eqx.Module):
 
     @property
     def relative(self) -> dict[str, dict[str, float]]:
-        """Changes over the size of the numbers; NaN for one that came or went."""
+        """Changes over the size of the numbers.
+
+        0 for a number that is 0 in both, such as the force of a motion without contact; infinite
+        for one that was 0 and is not any more; NaN for one that came or went, or is not finite.
+        """
         return {
-            what: {
-                n: float(change / np.max(np.abs(self.values[n]))) if n in self.values else np.nan
-                for n, change in numbers.items()
-            }
+            what: {n: self._relative(n, float(change)) for n, change in numbers.items()}
             for what, numbers in self.moved.items()
         }
 
+    def _relative(self, name: str, change: float) -> float:
+        if change == 0.0 or np.isnan(change):
+            return change
+        size = float(np.max(np.abs(self.values[name])))
+        return change / size if size > 0 else np.inf
+
     @property
     def worst(self) -> float:
-        """Largest relative change of all; NaN when a number came or went."""
+        """Largest relative change of all; NaN when a number came or went, or is not finite."""
         changes = [c for numbers in self.relative.values() for c in numbers.values()]
         return float(np.max(changes)) if changes else 0.0
 
@@ -69,6 +76,14 @@ class ResolutionCheck(eqx.Module):
         lines = ["ResolutionCheck (relative change)"]
         for what, numbers in self.relative.items():
             lines.append(f"  {what}")
-            lines += [f"    {n:24s}{c:.2e}" for n, c in numbers.items()]
+            lines += [f"    {n:24s}{self._told(what, n, c)}" for n, c in numbers.items()]
         lines += [f"  {what}: not varied, {why}" for what, why in self.skipped.items()]
         return "\n".join(lines)
+
+    def _told(self, what: str, name: str, change: float) -> str:
+        if np.isinf(change):
+            return f"from 0 to {float(self.moved[what][name]):.2e}"
+        if np.isnan(change):
+            return "nan (it came or went, or is not finite)"
+        stays = change == 0.0 and not np.any(self.values[name])
+        return "0 (it is 0 in both)" if stays else f"{change:.2e}"

@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from vibrojax._checks import check_range
+from vibrojax._signatures import validated
 from vibrojax.response.single_contact import unit_phases
 from vibrojax.response.single_contact_folds import newton_step, places_around
 from vibrojax.response.single_contact_points import Points, evaluate, gap_surface
+from vibrojax.results.saving import save_dataset
 from vibrojax.results.variables import VARIABLES
 from vibrojax.systems.base import AbstractSystem, LinearEquations, as_arrays, equations_of
 
@@ -97,6 +99,7 @@ class SingleContactResponse(eqx.Module):
         reference, _ = self.system.drive.reference
         return float(np.asarray(equations.stops[0].gap)) / float(np.asarray(reference))
 
+    @validated
     def folds(self, gap_ratio: float | None = None) -> Float[Array, " folds"]:
         """Return the frequencies of the folds at a gap ratio (the system's own by default).
 
@@ -191,13 +194,16 @@ class SingleContactResponse(eqx.Module):
         }
         return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
 
+    @validated
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file.
+        """Write the dataset to a NetCDF file, whole or not at all.
 
-        `path` is that of the file, such as `curve.nc`; what is there is replaced.
+        `path` is that of the file, such as `curve.nc`; what is there is replaced. Raises
+        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
         """
-        self.to_xarray().to_netcdf(os.fspath(path), engine="h5netcdf")
+        save_dataset(self.to_xarray(), path)
 
+    @validated
     def plot(self, gap_ratios: Sequence[float] | None = None) -> "Figure":
         """Draw amplitude against frequency, a line per gap ratio, and where they fold.
 

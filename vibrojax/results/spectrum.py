@@ -20,6 +20,7 @@ from vibrojax._checks import (
     check_range,
     nearest,
 )
+from vibrojax._signatures import validated
 from vibrojax.results.variables import VARIABLES, described_as
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ class Spectrum:
         """Whether the values are squares of amplitudes."""
         return self.scaling not in ("peak", "rms")
 
+    @validated
     def decibels(self, reference: float | int = 1.0) -> Float[np.ndarray, " frequencies"]:
         """Return the values in dB; 0 becomes -inf.
 
@@ -110,6 +112,7 @@ class Spectrum:
         with np.errstate(divide="ignore"):
             return factor * np.log10(self.amplitude / level)
 
+    @validated
     def up_to(self, span: float | int) -> "Spectrum":
         """Return the spectrum up to `span`, Hz. Raises `ValueError` when it does not reach it."""
         highest = float(self.frequency[-1])
@@ -125,6 +128,7 @@ class Spectrum:
         kept = self.frequency <= span * (1 + 1e-9)
         return replace(self, frequency=self.frequency[kept], amplitude=self.amplitude[kept])
 
+    @validated
     def peaks(
         self, count: int = 10, *, threshold: float | int = 60.0, prominence: float | int = 6.0
     ) -> list[SpectralPeak]:
@@ -186,6 +190,7 @@ class Spectrum:
             attrs=settings,
         )
 
+    @validated
     def plot(self, span: float | int | None = None, count: int = 8) -> "Figure":
         """Draw it up to `span` (Hz), with its `count` largest peaks named."""
         from vibrojax.results.spectrum_plot import plot_spectrum

@@ -10,6 +10,7 @@ class Status(enum.Enum):
     aperiodic = 1
     diverged = 2
     completed = 3
+    unbounded = 4
 
     @property
     def sentence(self) -> str:
@@ -24,5 +25,9 @@ _SENTENCES = {
         "quasi-periodic, of higher period, or still in a transient."
     ),
     Status.completed: "The integration reached its end.",
+    Status.unbounded: (
+        "An undamped mode is driven at its own frequency and no stop holds it: the motion grows "
+        "without bound."
+    ),
     Status.diverged: "The state stopped being finite, or contacts came too fast to be resolved.",
 }

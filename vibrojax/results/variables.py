@@ -101,6 +101,8 @@ VARIABLES = {
     "floquet_multiplier_imaginary": Variable("1", "Imaginary part of the Floquet multipliers"),
     "stable": Variable("1", "Whether the motion is stable (1) or not (0)"),
     "exact_points": Variable("1", "Whether the point is exact (1) or harmonic balance (0)"),
+    "minimal_period": Variable("1", "Drive periods after which the motion repeats first"),
+    "guess_distance": Variable("1", "Distance of the motion from the guess, over its size"),
     "residual": Variable("1", "Relative residual of the motion"),
     "arclength": Variable("1", "Way along the branch"),
     "natural_frequency": Variable("Hz", "First natural frequency of the unstopped beam"),

@@ -9,17 +9,20 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax._trigonometry import cosine
 from vibrojax.stepping.contact_phases import ContactPhases, spread
-from vibrojax.stepping.elementary import apply_matrix, computed_once, cubic_maximum
+from vibrojax.stepping.elementary import (
+    apply_matrix,
+    computed_once,
+    cubic_maximum,
+    where_needed,
+)
 from vibrojax.stepping.forcing import Forcing
-from vibrojax.stepping.measures import Measures, Segment, no_measures
+from vibrojax.stepping.measures import Measures, Segment
+from vibrojax.stepping.resonance import driven_growth
 
 lax = jax.lax
 
 _PLACES = (0.15, 0.325, 0.5, 0.675, 0.85)
 """Where along a step the cubics are asked how far from zero they stay."""
-
-RETRIES = 40
-"""Attempts per step of the grid before a lane is given up as stalled."""
 
 
 class Flight(NamedTuple):
@@ -35,7 +38,7 @@ class Flight(NamedTuple):
     measures: Measures | None
 
 
-def _pick(index: Int[Array, "*#lanes"], table: Array) -> Array:
+def pick(index: Int[Array, "*#lanes"], table: Array) -> Array:
     """Take the row of each lane: `where` for the usual two, which XLA fuses; no gather."""
     chosen = table[0]
     for i in range(1, table.shape[0]):
@@ -79,6 +82,7 @@ class ContactLoop:
         self.change = change.reshape(-1, *change.shape[3:])
         self.change_rest = spread(phases.change_rest, 3, self.lanes)
         self.change_wave = force.change.real, force.change.imag
+        self.resonant = jnp.any(force.driven != 0)
         self.bits = self.column([1 << s for s in range(self.stops)]).astype(np.int32)
 
     def phase_of(self, touching):
@@ -100,9 +104,9 @@ class ContactLoop:
         rows = apply_matrix(self.readout, flat)
         rows = rows.reshape(self.count, -1, *rows.shape[1:])
         return (
-            _pick(phase, rows + self.readout_rest)
-            + _pick(phase, self.readout_wave[0]) * sine
-            + _pick(phase, self.readout_wave[1]) * cosine_
+            pick(phase, rows + self.readout_rest)
+            + pick(phase, self.readout_wave[0]) * sine
+            + pick(phase, self.readout_wave[1]) * cosine_
         )
 
     def touching(self, phase):
@@ -129,7 +133,7 @@ class ContactLoop:
 
     def factors(self, phase, oscillates, step):
         """Growth of both rows of every block over a step: decay times (cosine, sine)."""
-        decay, rate = _pick(phase, self.exponent), _pick(phase, self.rate)
+        decay, rate = pick(phase, self.exponent), pick(phase, self.rate)
         quarter = self.column([0.0, np.pi / 2])[:, None]
         turn = jnp.where(oscillates, rate * step - quarter, 0.0)
         return jnp.exp(decay * step) * cosine(turn)
@@ -143,15 +147,28 @@ class ContactLoop:
 
     def drift(self, blocks, phase, time):
         """First-order motion over a short time: the Newton correction of a crossing."""
-        decay, rate = _pick(phase, self.exponent), _pick(phase, self.rate)
+        decay, rate = pick(phase, self.exponent), pick(phase, self.rate)
         sign = self.column([-1.0, 1.0])[:, None]
         return blocks + time * (decay * blocks + sign * rate * blocks[::-1])
+
+    def pushed(self, blocks, phase, time, step):
+        """Add what the drive does over a step to the blocks that it turns in resonance."""
+
+        def add():
+            decay, rate = pick(phase, self.exponent)[0], pick(phase, self.rate)
+            driven = pick(phase, self.force.driven)
+            frequency = self.force.angular_frequency
+            angle = self.force.start_phase + frequency * time
+            added = driven_growth(decay, rate, driven, angle, frequency, step)
+            return blocks + added.reshape(blocks.shape)
+
+        return where_needed(self.resonant, add, blocks)
 
     def cubic_error(self, blocks, phase, step):
         """Bound of the error of the cubics through the depths over a step, m."""
         blocks = lax.stop_gradient(blocks)
         size = jnp.sqrt(blocks[0] ** 2 + blocks[1] ** 2)
-        wiggle = lax.stop_gradient(_pick(phase, self.wiggle))
+        wiggle = lax.stop_gradient(pick(phase, self.wiggle))
         return jnp.sum(wiggle * size, axis=1) * lax.stop_gradient(step) ** 4
 
     def proposal(self, seen, touching, tolerance):
@@ -197,9 +214,10 @@ class ContactLoop:
         once = lambda f: computed_once(tick, f)  # noqa: E731
         force, phase, step = self.force, flight.phase, flight.step
         tolerance = force.depth_tolerance
-        oscillates = _pick(phase, self.oscillates)
+        oscillates = pick(phase, self.oscillates)
         factors = once(lambda: self.factors(phase, oscillates, step))
         moved = self.rotate(factors, oscillates, flight.blocks)
+        moved = self.pushed(moved, phase, flight.time, step)
         time = flight.time + step
         wave = once(lambda: self.phasor(time))
         reading = once(lambda: self.read(moved, phase, wave[0], wave[1]))
@@ -230,7 +248,8 @@ class ContactLoop:
             return jnp.clip(late, -limit, limit)
 
         late = once(newton)
-        time, landed = time + late, self.drift(moved, phase, late)
+        landed = self.pushed(self.drift(moved, phase, late), phase, time, late)
+        time = time + late
         turn = force.angular_frequency * late
         sine, cosine_ = wave[0] + turn * wave[1], wave[1] - turn * wave[0]
         blocks, new_phase = landed, phase
@@ -273,7 +292,7 @@ class ContactLoop:
         rows = rows.reshape(self.count, self.stops, 2 * self.n, *rows.shape[1:])
         rows = rows + self.change_rest
         rows = rows + self.change_wave[0] * sine + self.change_wave[1] * cosine_
-        by_stop = _pick(phase, rows)
+        by_stop = pick(phase, rows)
         changed = by_stop[0]
         for s in range(1, self.stops):
             changed = jnp.where(arrived[s], by_stop[s], changed)
@@ -317,89 +336,3 @@ class ContactLoop:
             touches=jnp.any(touching, axis=0),
             entries=jnp.sum(arrived & ~touching, axis=0, dtype=jnp.int32),
         )
-
-
-def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
-    """Put a state (q, q') at time 0 into block coordinates."""
-    force, phases = loop.force, loop.phases
-    zero = jnp.zeros_like(force.angular_frequency)
-    wave = loop.phasor(zero)
-    position, speed = (apply_matrix(phases.towards_stop, half) for half in jnp.split(state, 2))
-    depth = position - spread(phases.gap, 1, loop.lanes)
-    indicator, rate = loop.contact(jnp.concatenate([depth, speed, jnp.zeros_like(depth)]))
-    touching = indicator > 0
-    if all(phases.can_pull):
-        # As close as a landing counts as crossing: where it is going says on which side it is.
-        touching = jnp.where(jnp.abs(indicator) <= force.depth_tolerance, rate > 0, touching)
-    phase = jnp.broadcast_to(loop.phase_of(touching), zero.shape)
-
-    def blocks_of(p):
-        steady = force.blocks[p]
-        forced = steady.real * wave[0] + steady.imag * wave[1]
-        rest = spread(phases.rest[p], 1, loop.lanes)
-        return apply_matrix(phases.from_state[p], state) - forced - rest
-
-    blocks = _pick(phase, jnp.stack([blocks_of(p) for p in range(loop.count)]))
-    blocks = blocks.reshape(2, loop.n, *blocks.shape[1:])
-    reading = loop.read(blocks, phase, wave[0], wave[1])
-    count = jnp.zeros(zero.shape, jnp.int32)
-    measures = no_measures(zero) if loop.observe else None
-    return Flight(blocks, phase, zero, zero, reading, count, count, measures)
-
-
-def leave(
-    loop: ContactLoop, flight: Flight, time: Float[Array, "*#lanes"]
-) -> Float[Array, "states *#lanes"]:
-    """State (q, q') of a flight, at its time."""
-    force, phases = loop.force, loop.phases
-    wave = loop.phasor(time)
-    flat = flight.blocks.reshape(2 * loop.n, *flight.blocks.shape[2:])
-
-    def state_of(p):
-        steady = force.blocks[p]
-        forced = steady.real * wave[0] + steady.imag * wave[1]
-        rest = spread(phases.rest[p], 1, loop.lanes)
-        return apply_matrix(phases.to_state[p], flat + forced + rest)
-
-    return _pick(flight.phase, jnp.stack([state_of(p) for p in range(loop.count)]))
-
-
-def run(
-    loop: ContactLoop,
-    state: Float[Array, "states *#lanes"],
-    duration: Float[Array, "*#lanes"],
-    target: Int[Array, "*#lanes"],
-    max_attempts: int | None,
-) -> Flight:
-    """Fly every lane `target` times over the duration, starting each time at drive time 0."""
-    # A stop without gap on a body without drive has no length of its own: take the state's.
-    weight = spread(loop.phases.towards_stop, 2, loop.lanes)
-    q, v = jnp.split(lax.stop_gradient(jnp.abs(state)), 2)
-    reach = q + v / loop.force.angular_frequency
-    size = jnp.max(jnp.sum(jnp.abs(weight) * reach, axis=1), axis=0, initial=0.0)
-    floor = jnp.broadcast_to(1e-9 * size, loop.force.depth_tolerance.shape)
-    tolerance = jnp.maximum(loop.force.depth_tolerance, floor)
-    loop.force = loop.force._replace(depth_tolerance=tolerance)
-    flight = enter(loop, state)
-    first = loop.next_step(flight.reading, flight.phase, duration)
-    flight = flight._replace(step=jnp.broadcast_to(first, flight.time.shape))
-    longest = loop.force.longest_step
-    grid = jnp.ceil(duration / jnp.where(longest > 0, longest, 1.0))
-    budget = (target * jnp.clip(RETRIES * grid, RETRIES, 1e7)).astype(jnp.int32)
-
-    def live(flight):
-        return (flight.finished < target) & (flight.attempts < budget)
-
-    def attempt(flight, tick):
-        return loop.attempt(flight, live(flight), tick, duration)
-
-    if max_attempts is None:
-        flight, _ = lax.while_loop(
-            lambda carry: jnp.any(live(carry[0])),
-            lambda carry: (attempt(*carry), carry[1] + 1),
-            (flight, jnp.int32(0)),
-        )
-    else:
-        ticks = jnp.arange(max_attempts, dtype=jnp.int32)
-        flight, _ = lax.scan(lambda f, tick: (attempt(f, tick), None), flight, ticks)
-    return flight

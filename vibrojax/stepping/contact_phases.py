@@ -11,7 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from vibrojax._checks import concrete
 from vibrojax.contact_laws import can_pull, linear_coefficients
+from vibrojax.stepping.resonance import NEAR, is_resonant
 from vibrojax.systems.base import LinearEquations
 
 MAX_STOPS = 4
@@ -216,20 +218,49 @@ def forced_blocks(
     """Block coordinates Z of the steady response to the input Im(amplitude exp(i phase)).
 
     The steady response in every phase is Im(Z exp(i phase)); each block is solved in closed form.
+    Blocks in resonance have none: their input is that of `resonant_blocks`.
     """
-    n = phases.num_blocks
-    lanes = angular_frequency.ndim
+    top, bottom, along, across, rate = _driven(phases, angular_frequency)
+    determinant = along * across + rate**2
+    resonant = is_resonant(determinant, angular_frequency)
+    factor = jnp.where(resonant, 0.0, amplitude / jnp.where(resonant, 1.0, determinant))
+    first, second = across * top - rate * bottom, rate * top + along * bottom
+    return jnp.concatenate([factor * first, factor * second], axis=1)
+
+
+def resonant_blocks(
+    phases: ContactPhases,
+    amplitude: Complex[Array, "*lanes"],
+    angular_frequency: Float[Array, "*lanes"],
+) -> Complex[Array, "phases states *lanes"]:
+    """Input of the block coordinates that is to be integrated (`resonance`); 0 for most blocks."""
+    top, bottom, along, across, rate = _driven(phases, angular_frequency)
+    resonant = is_resonant(along * across + rate**2, angular_frequency)
+    push = jnp.where(resonant, amplitude, 0.0)
+    return jnp.concatenate([push * top, push * bottom], axis=1)
+
+
+def can_resonate(phases: ContactPhases | None) -> bool:
+    """Whether a block of these phases has next to no damping, as far as is known while tracing."""
+    if phases is None:
+        return False
+    exponent, rate = concrete(phases.exponent), concrete(phases.rate)
+    if exponent is None or rate is None:
+        return True
+    return bool(np.any((rate > 0) & (np.abs(exponent[..., 0, :]) < 2 * NEAR * rate)))
+
+
+def _driven(phases, angular_frequency):
+    """Input of both rows of every block, and i W - block, where W is the drive frequency.
+
+    The block is [[a, -b], [b, a]], or diag(a1, a2) with b = 0.
+    """
+    n, lanes = phases.num_blocks, angular_frequency.ndim
     top, bottom = (spread(phases.input[:, rows], 2, lanes) for rows in (slice(n), slice(n, None)))
     decay = spread(phases.exponent, 3, lanes)
-    rate = spread(phases.rate, 2, lanes)
     along = 1j * angular_frequency - decay[:, 0]
     across = 1j * angular_frequency - decay[:, 1]
-    # (i W - block) Z = input, block = [[a, -b], [b, a]] or diag(a1, a2) with b = 0.
-    # An undamped block may turn at the frequency of the clock where nothing drives.
-    determinant = jnp.where(amplitude == 0, 1.0, along * across + rate**2)
-    first = (across * top - rate * bottom) / determinant
-    second = (rate * top + along * bottom) / determinant
-    return amplitude * jnp.concatenate([first, second], axis=1)
+    return top, bottom, along, across, spread(phases.rate, 2, lanes)
 
 
 def spread(table: Array, rank: int, lanes: int) -> Array:

@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 T = TypeVar("T")
 
@@ -23,6 +23,16 @@ def computed_once(tick: Int[Array, ""], compute: Callable[[], T]) -> T:
     return jax.lax.cond(
         tick >= 0, compute, lambda: jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
     )
+
+
+def where_needed(needed: Bool[Array, ""], compute: Callable[[], T], otherwise: T) -> T:
+    """Return `compute()`, which is `otherwise` where it is not `needed`; then a CPU leaves it out.
+
+    Elsewhere a branch costs more than the computing.
+    """
+    if jax.default_backend() != "cpu":
+        return compute()
+    return jax.lax.cond(needed, compute, lambda: otherwise)
 
 
 def cubic_maximum(

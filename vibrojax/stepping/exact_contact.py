@@ -16,11 +16,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from vibrojax.stepping.contact_loop import ContactLoop, leave, run
+from vibrojax.stepping.contact_loop import ContactLoop, Flight, pick
 from vibrojax.stepping.contact_phases import ContactPhases, spread
+from vibrojax.stepping.elementary import apply_matrix
 from vibrojax.stepping.forcing import Forcing, forcing, longest_step
-from vibrojax.stepping.measures import Measures
+from vibrojax.stepping.measures import Measures, no_measures
+from vibrojax.stepping.replay import replayed_while
 from vibrojax.systems.base import Motion
+
+lax = jax.lax
+
+RETRIES = 40
+"""Attempts per step of the grid before a lane is given up as stalled."""
 
 
 def march(
@@ -57,9 +64,9 @@ def step_from(
     """Advance one lane from a time (s) over a duration, for any waveform.
 
     Harmonic drives are exact; of a chirp the step takes the frequency and amplitude of its middle.
-    With `max_attempts` the loop has that fixed length, which reverse mode can differentiate; else
-    `vmap` runs the lanes in one loop with the layout of `march`. The state is NaN if the attempts
-    did not suffice.
+    With `max_attempts` reverse mode can differentiate the loop, of that many attempts at the most;
+    else `vmap` runs the lanes in one loop with the layout of `march`. The state is NaN if the
+    attempts did not suffice.
     """
     numbers = phases, motion.drive, motion.waveform, state, start, duration, tolerance
     numbers = jax.tree.map(lambda a: jnp.asarray(a, float), numbers)
@@ -111,3 +118,88 @@ def _step(*numbers):
 def _step_jvp(numbers, changes):
     # A rule for vmap cannot be differentiated under another vmap: derivatives go without it.
     return jax.jvp(_step_lanes, numbers, changes)
+
+
+def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
+    """Put a state (q, q') at time 0 into block coordinates."""
+    force, phases = loop.force, loop.phases
+    zero = jnp.zeros_like(force.angular_frequency)
+    wave = loop.phasor(zero)
+    position, speed = (apply_matrix(phases.towards_stop, half) for half in jnp.split(state, 2))
+    depth = position - spread(phases.gap, 1, loop.lanes)
+    indicator, rate = loop.contact(jnp.concatenate([depth, speed, jnp.zeros_like(depth)]))
+    touching = indicator > 0
+    if all(phases.can_pull):
+        # As close as a landing counts as crossing: where it is going says on which side it is.
+        touching = jnp.where(jnp.abs(indicator) <= force.depth_tolerance, rate > 0, touching)
+    phase = jnp.broadcast_to(loop.phase_of(touching), zero.shape)
+
+    def blocks_of(p):
+        steady = force.blocks[p]
+        forced = steady.real * wave[0] + steady.imag * wave[1]
+        rest = spread(phases.rest[p], 1, loop.lanes)
+        return apply_matrix(phases.from_state[p], state) - forced - rest
+
+    blocks = pick(phase, jnp.stack([blocks_of(p) for p in range(loop.count)]))
+    blocks = blocks.reshape(2, loop.n, *blocks.shape[1:])
+    reading = loop.read(blocks, phase, wave[0], wave[1])
+    count = jnp.zeros(zero.shape, jnp.int32)
+    measures = no_measures(zero) if loop.observe else None
+    return Flight(blocks, phase, zero, zero, reading, count, count, measures)
+
+
+def leave(
+    loop: ContactLoop, flight: Flight, time: Float[Array, "*#lanes"]
+) -> Float[Array, "states *#lanes"]:
+    """State (q, q') of a flight, at its time."""
+    force, phases = loop.force, loop.phases
+    wave = loop.phasor(time)
+    flat = flight.blocks.reshape(2 * loop.n, *flight.blocks.shape[2:])
+
+    def state_of(p):
+        steady = force.blocks[p]
+        forced = steady.real * wave[0] + steady.imag * wave[1]
+        rest = spread(phases.rest[p], 1, loop.lanes)
+        return apply_matrix(phases.to_state[p], flat + forced + rest)
+
+    return pick(flight.phase, jnp.stack([state_of(p) for p in range(loop.count)]))
+
+
+def run(
+    loop: ContactLoop,
+    state: Float[Array, "states *#lanes"],
+    duration: Float[Array, "*#lanes"],
+    target: Int[Array, "*#lanes"],
+    max_attempts: int | None,
+) -> Flight:
+    """Fly every lane `target` times over the duration, starting each time at drive time 0."""
+    # A stop without gap on a body without drive has no length of its own: take the state's.
+    weight = spread(loop.phases.towards_stop, 2, loop.lanes)
+    q, v = jnp.split(lax.stop_gradient(jnp.abs(state)), 2)
+    reach = q + v / loop.force.angular_frequency
+    size = jnp.max(jnp.sum(jnp.abs(weight) * reach, axis=1), axis=0, initial=0.0)
+    floor = jnp.broadcast_to(1e-9 * size, loop.force.depth_tolerance.shape)
+    tolerance = jnp.maximum(loop.force.depth_tolerance, floor)
+    loop.force = loop.force._replace(depth_tolerance=tolerance)
+    flight = enter(loop, state)
+    first = loop.next_step(flight.reading, flight.phase, duration)
+    flight = flight._replace(step=jnp.broadcast_to(first, flight.time.shape))
+    longest = loop.force.longest_step
+    grid = jnp.ceil(duration / jnp.where(longest > 0, longest, 1.0))
+    budget = (target * jnp.clip(RETRIES * grid, RETRIES, 1e7)).astype(jnp.int32)
+
+    def live(flight):
+        return (flight.finished < target) & (flight.attempts < budget)
+
+    def attempt(flight, tick):
+        return loop.attempt(flight, live(flight), tick, duration)
+
+    if max_attempts is None:
+        flight, _ = lax.while_loop(
+            lambda carry: jnp.any(live(carry[0])),
+            lambda carry: (attempt(*carry), carry[1] + 1),
+            (flight, jnp.int32(0)),
+        )
+    else:
+        flight = replayed_while(lambda f: jnp.any(live(f)), attempt, flight, max_attempts)
+    return flight

@@ -10,6 +10,7 @@ from vibrojax.stepping.contact_phases import (
     ContactPhases,
     contact_rates,
     forced_blocks,
+    resonant_blocks,
     spread,
 )
 from vibrojax.stepping.elementary import apply_matrix
@@ -21,6 +22,8 @@ class Forcing(NamedTuple):
     angular_frequency: Float[Array, "*#lanes"]
     start_phase: Float[Array, "*#lanes"]
     blocks: Complex[Array, "phases states *#lanes"]
+    driven: Complex[Array, "phases states *#lanes"]
+    """Input of blocks in resonance, which have no steady response."""
     readout: Complex[Array, "phases rows *#lanes"]
     change: Complex[Array, "phases stops states *#lanes"]
     longest_step: Float[Array, "*#lanes"]
@@ -38,13 +41,17 @@ def forcing(
     """Tabulate what a harmonic input Im(amplitude exp(i phase)) does in every phase."""
     stops, count = phases.num_stops, 2**phases.num_stops
     steady = forced_blocks(phases, amplitude, angular_frequency)
+    driven = resonant_blocks(phases, amplitude, angular_frequency)
 
     def complex_apply(matrix, vector):
         return apply_matrix(matrix, vector.real) + 1j * apply_matrix(matrix, vector.imag)
 
-    read = jnp.stack([complex_apply(phases.readout[p], steady[p]) for p in range(count)])
+    def seen(blocks):
+        return jnp.stack([complex_apply(phases.readout[p], blocks[p]) for p in range(count)])
+
+    read, pushed = seen(steady), seen(driven)[:, : 2 * stops]
     # The steady response is no free motion of a block: its acceleration is -w^2 its depth.
-    acceleration = -(angular_frequency**2) * read[:, :stops]
+    acceleration = -(angular_frequency**2) * read[:, :stops] + pushed[:, stops:]
     read = read.at[:, 2 * stops : 3 * stops].set(acceleration)
     change = jnp.zeros((count, stops, *steady.shape[1:]), steady.dtype)
     for p, s in np.ndindex(count, stops):
@@ -52,12 +59,14 @@ def forcing(
         change = change.at[p, s].set(moved)
     # A landing is judged by the gap: near resonance the steady response without stops says little.
     gap = spread(phases.gap, 1, angular_frequency.ndim)
-    size = jnp.where(gap > 0, gap, jnp.abs(read[0, :stops]))
+    moved = jnp.abs(read[0, :stops]) + jnp.abs(pushed[0, :stops]) / angular_frequency
+    size = jnp.where(gap > 0, gap, moved)
     size = jnp.min(size, axis=0) if stops else jnp.zeros_like(angular_frequency)
     return Forcing(
         angular_frequency=angular_frequency,
         start_phase=start_phase,
         blocks=steady,
+        driven=driven,
         readout=read,
         change=change,
         longest_step=longest_step,

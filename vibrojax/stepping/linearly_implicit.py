@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from vibrojax._checks import check_count, check_positive, concrete
+from vibrojax._signatures import validated
 from vibrojax.drive import AbstractDrive
 from vibrojax.stepping.linearly_implicit_step import (
     StepMatrix,
@@ -36,6 +37,7 @@ RINGING = 100.0
 """Damping rate times step beyond which a damped mode alternates from step to step for long."""
 
 
+@validated
 class LinearlyImplicit(AbstractMethod):
     """Stiffness and damping implicit, mass at the middle of the step, contact in closed form.
 

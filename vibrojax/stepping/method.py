@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from vibrojax._checks import check_count, check_range, concrete
 from vibrojax._described import described
+from vibrojax._signatures import validated
 from vibrojax.drive import AbstractDrive
 from vibrojax.stepping import exact_contact, splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
@@ -221,6 +222,7 @@ class ExactMarch(AbstractMarch):
         return self.phases.weight
 
 
+@validated
 class ExactContact(AbstractMethod):
     """Exact propagators in flight and in contact, crossings located inside the step.
 
@@ -234,8 +236,8 @@ class ExactContact(AbstractMethod):
     steps_per_period: int | None = eqx.field(static=True, default=None)
     """Steps per drive period, instead of those chosen from the contact and the tolerance."""
     max_attempts: int | None = eqx.field(static=True, default=None)
-    """Within diffrax: a fixed number of attempts per step, which reverse mode can differentiate;
-    None takes as many as needed, for forward mode and plain values."""
+    """Within diffrax: most attempts per step, kept for reverse mode to differentiate; None takes as
+    many as needed, for forward mode and plain values."""
 
     def __check_init__(self) -> None:
         """Refuse settings that cannot work."""
@@ -313,6 +315,7 @@ class SplittingMarch(AbstractMarch):
         return self.equations.energy_weight
 
 
+@validated
 class ExponentialSplitting(AbstractMethod):
     """Exact modes and kicks of contact with a force-gradient correction, at equal steps.
 

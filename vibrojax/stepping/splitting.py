@@ -8,6 +8,7 @@ force that depends on position (the damping of a contact keeps its error of seco
 every contact law; in lanes it carries trailing axes as `exact_contact` does.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -18,8 +19,9 @@ from jaxtyping import Array, Complex, Float, Int
 from vibrojax._trigonometry import cosine, sine
 from vibrojax.contact import Stop
 from vibrojax.stepping.contact_phases import spread
-from vibrojax.stepping.elementary import computed_once, cubic_maximum
+from vibrojax.stepping.elementary import computed_once, cubic_maximum, where_needed
 from vibrojax.stepping.measures import Measures, Segment, no_measures
+from vibrojax.stepping.resonance import driven_growth, is_resonant
 from vibrojax.systems.base import (
     LinearEquations,
     Motion,
@@ -80,20 +82,67 @@ def steady(
     equations: LinearEquations,
     amplitude: Complex[Array, "*#lanes"],
     angular_frequency: Float[Array, "*#lanes"],
-) -> Complex[Array, "states *#lanes"]:
+) -> tuple[Complex[Array, "states *#lanes"], Complex[Array, "modes *#lanes"]]:
     """Complex amplitude of the state in the steady response without stops.
 
-    Raises `ValueError` when the damping couples the modes.
+    Modes in resonance have none here; the second result is their input, to be integrated
+    (`driven_drift`), 0 elsewhere. Raises `ValueError` when the damping couples the modes.
     """
     check_uncoupled(equations)
     omega, lanes = angular_frequency, angular_frequency.ndim
     w = spread(equations.angular_frequency, 1, lanes)
     zeta = spread(equations.damping_ratio, 1, lanes)
-    # An undamped mode may turn at the frequency of the clock where nothing drives.
-    dynamic = jnp.where(amplitude == 0, 1.0, w**2 - omega**2 + 2j * zeta * w * omega)
-    q = spread(equations.input_map, 1, lanes) * amplitude / dynamic
+    dynamic = w**2 - omega**2 + 2j * zeta * w * omega
+    push = spread(equations.input_map, 1, lanes) * amplitude
+    resonant = is_resonant(dynamic, omega)
+    q = jnp.where(resonant, 0.0, push / jnp.where(resonant, 1.0, dynamic))
     still = jnp.zeros((equations.memory_size, *q.shape[1:]), q.dtype)
-    return jnp.concatenate([q, 1j * omega * q, still])
+    return jnp.concatenate([q, 1j * omega * q, still]), jnp.where(resonant, push, 0.0)
+
+
+def driven_drift(
+    equations: LinearEquations,
+    driven: Complex[Array, "modes *#lanes"],
+    angular_frequency: Float[Array, "*#lanes"],
+    time: Float[Array, "*#lanes"],
+) -> Complex[Array, "2 modes *#lanes"]:
+    """Complex amplitudes of what modes in resonance gain in q and q' over a time.
+
+    With them the gain is Im(amplitude exp(i phase)), by the drive phase at which the time begins.
+    """
+    lanes = angular_frequency.ndim
+    w = spread(equations.angular_frequency, 1, lanes)
+    zeta = jnp.minimum(spread(equations.damping_ratio, 1, lanes), 0.5)
+    # The rows of a block are (q' + zeta w q) / spin and q; modes in resonance are lightly damped.
+    spin = w * jnp.sqrt(1 - zeta**2)
+    decay, rate, first = jnp.broadcast_arrays(-zeta * w, spin, driven / spin)
+
+    def gain(angle):
+        rows = jnp.concatenate([first, jnp.zeros_like(first)])
+        added = driven_growth(decay, rate, rows, angle, angular_frequency, time)
+        z, q = jnp.split(added, 2)
+        return jnp.stack([q, rate * z + decay * q])
+
+    return gain(np.pi / 2) + 1j * gain(0.0)
+
+
+def driven_flow(
+    equations: LinearEquations,
+    driven: Complex[Array, " modes"],
+    angular_frequency: Float[Array, ""],
+    time: Float[Array, ""],
+) -> Callable[..., Float[Array, "2 modes"]]:
+    """Return the flow of (q, q') of one lane over a time, from a drive phase.
+
+    About the steady response; modes in resonance are driven by their input as of `steady`.
+    """
+    free = drift(equations.angular_frequency, equations.damping_ratio, time)
+    gained = driven_drift(equations, driven, angular_frequency, time)
+
+    def flow(q, v, angle):
+        return jnp.stack(free(q, v)) + gained.real * jnp.sin(angle) + gained.imag * jnp.cos(angle)
+
+    return flow
 
 
 class Contact(NamedTuple):
@@ -218,14 +267,15 @@ def step_from(
     phase_end, _, _ = motion.waveform.phase(start + duration)
     phase_middle, rate, second = motion.waveform.phase(start + duration / 2)
     amplitude = motion.drive.complex_amplitude(rate, second)
-    forced = steady(equations, amplitude, (phase_end - phase) / duration)
+    frequency = (phase_end - phase) / duration
+    forced, driven = steady(equations, amplitude, frequency)
 
     def at(angle):
         return forced.real * jnp.sin(angle) + forced.imag * jnp.cos(angle)
 
-    half = drift(equations.angular_frequency, equations.damping_ratio, duration / 2)
+    half = driven_flow(equations, driven, frequency, duration / 2)
     q, v, memory = equations.split(state - at(phase))
-    q, v = half(q, v)
+    q, v = half(q, v, phase)
     if equations.stops:
         contact = contact_of(equations, 0)
         forced_q, forced_v, _ = equations.split(at(phase_middle))
@@ -233,7 +283,8 @@ def step_from(
         rate = contact.towards @ (v + forced_v)
         impulse, memory = kick(contact, depth, rate, memory, duration)
         v = v - contact.push @ impulse
-    return jnp.concatenate([*half(q, v), memory]) + at(phase_end)
+    q, v = half(q, v, phase_middle)
+    return jnp.concatenate([q, v, memory]) + at(phase_end)
 
 
 class _Carry(NamedTuple):
@@ -266,7 +317,11 @@ def march(
     tip = spread(equations.response_map, 1, lanes)
     h = 2 * jnp.pi / angular_frequency / steps
     whole, half, back = drift(w, zeta, h), drift(w, zeta, h / 2), drift(w, zeta, -h / 2)
-    forced = steady(equations, amplitude, angular_frequency)
+    forced, driven = steady(equations, amplitude, angular_frequency)
+    resonant = jnp.any(driven != 0)
+    gained, gained_half = (
+        driven_drift(equations, driven, angular_frequency, time) for time in (h, h / 2)
+    )
     seen = _apply(contact.towards, forced[:modes])
     seen_rate = 1j * angular_frequency * seen
     tip_forced = jnp.sum(tip * forced[:modes], axis=0)
@@ -275,6 +330,12 @@ def march(
 
     def real(value, wave):
         return value.real * wave[0] + value.imag * wave[1]
+
+    def pushed(moved, gain, wave):
+        q, v = moved
+        return where_needed(
+            resonant, lambda: (q + real(gain[0], wave), v + real(gain[1], wave)), (q, v)
+        )
 
     def depth_of(q, v, wave):
         depth = _apply(contact.towards, q) + real(seen, wave) - contact.gap
@@ -293,7 +354,7 @@ def march(
             kicked = v - _apply(contact.push, impulse)
         else:
             kicked, memory1 = v, memory
-        q1, v1 = whole(q, kicked)
+        q1, v1 = pushed(whole(q, kicked), gained, wave)
         wave1 = jnp.stack(
             [wave[0] * spin[0] + wave[1] * spin[1], wave[1] * spin[0] - wave[0] * spin[1]]
         )
@@ -321,11 +382,13 @@ def march(
         live = done < periods
         zero, unit = jnp.zeros_like(h), jnp.ones_like(h)
         q, v, memory = equations.split(x - real(forced, (zero, unit)))
-        q, v = half(q, v)
+        q, v = pushed(half(q, v), gained_half, (zero, unit))
         start = jnp.stack([jnp.sin(turn / 2), jnp.cos(turn / 2)])
         begin = _Carry(q, v, memory, start, measures)
         end = lax.fori_loop(0, steps, lambda i, c: one(i, c, live), begin)
-        x1 = jnp.concatenate([*back(end.q, end.v), end.memory]) + real(forced, (zero, unit))
+        # Half a step back: what the drive gave in it is taken off first.
+        q, v = pushed((end.q, end.v), -gained_half, (zero, unit))
+        x1 = jnp.concatenate([*back(q, v), end.memory]) + real(forced, (zero, unit))
         return jnp.where(live, x1, x), done + live, end.measures
 
     zero = jnp.zeros(angular_frequency.shape, jnp.int32)

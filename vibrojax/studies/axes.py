@@ -1,8 +1,6 @@
 """From a function of named numbers to the lanes of a study."""
 
-import inspect
-import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -10,9 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax._checks import check_needed_arguments, name_of, nearest
+from vibrojax._checks import axis_of
 from vibrojax._described import recipe
-from vibrojax.systems.base import AbstractSystem
+from vibrojax._kinds import is_list
+from vibrojax.studies.maps.dimensions import arguments_of
+from vibrojax.systems.base import AbstractSystem, check_made
 
 
 class Lanes(eqx.Module):
@@ -22,6 +22,7 @@ class Lanes(eqx.Module):
     sample: AbstractSystem
     """The first system, with the numbers as they were given."""
     axes: dict[str, np.ndarray]
+    """Values by name of the axis; of numbers that go together as `together` has them."""
     description: str
 
     @property
@@ -50,41 +51,44 @@ def stacked(systems: list[AbstractSystem]) -> AbstractSystem:
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves).astype(float)), *systems)
 
 
-def lanes_of(system: AbstractSystem | Callable[..., AbstractSystem], axes: dict[str, Any]) -> Lanes:
-    """Build one system, or one for every combination of the axes.
+def check_lists(numbers: Mapping[str, Any]) -> None:
+    """Refuse, with a `ValueError`, lists of numbers that are no axis."""
+    for name, given in numbers.items():
+        if is_list(given) and not (len(given) and isinstance(given[0], str | bool | np.bool_)):
+            axis_of(name, given)
+
+
+def lanes_of(
+    system: AbstractSystem | Callable[..., AbstractSystem],
+    numbers: Mapping[str, Any],
+    groups: tuple[Any, ...] = (),
+) -> Lanes:
+    """Build one system, or one for every combination of the axes: zipped groups, then lists.
 
     Every system is built from concrete numbers, so wrong ones are refused before anything
     compiles. Raises `ValueError` for unknown names, empty axes, or systems of different structure.
     """
     if isinstance(system, AbstractSystem):
-        if axes:
-            raise ValueError(
-                f"Unknown argument {next(iter(axes))!r}. To sweep a number of the rig, pass a "
-                "function that makes the rig from named numbers, in place of the rig itself."
-            )
+        check_no_numbers(numbers, groups)
         return Lanes(stacked([system]), system, {}, recipe(system))
-    if not callable(system):
-        raise ValueError(f"system must be a system or a function that makes one, got {system!r}.")
-    parameters = inspect.signature(system).parameters.values()
-    known = [p.name for p in parameters]
-    if not any(p.kind is p.VAR_KEYWORD for p in parameters):
-        for name in axes:
-            if name not in known:
-                raise ValueError(f"Unknown argument {name!r}. {nearest(name, known)}")
-    check_needed_arguments(system, axes)
-    fixed = {k: v for k, v in axes.items() if np.ndim(v) == 0}
-    swept = {k: np.asarray(v, dtype=float) for k, v in axes.items() if np.ndim(v) > 0}
-    for name, values in swept.items():
-        if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
-            raise ValueError(
-                f"{name} must be a non-empty list of finite numbers, got {axes[name]!r}."
-            )
-    combinations = itertools.product(*swept.values())
-    made = [
-        system(**fixed, **dict(zip(swept, map(float, values), strict=True)))
-        for values in combinations
-    ]
-    for one in made:
-        if not isinstance(one, AbstractSystem):
-            raise ValueError(f"{name_of(system)} must return a system, got {one!r}.")
-    return Lanes(stacked(made), made[0], swept, recipe(made[0]))
+    check_lists(numbers)
+    named = arguments_of(system, groups, numbers)
+    made = [made_by(system, named.at(index)) for index in np.ndindex(*named.shape)]
+    return Lanes(stacked(made), made[0], named.axes, recipe(made[0]))
+
+
+def check_no_numbers(numbers: Mapping[str, Any], groups: tuple[Any, ...]) -> None:
+    """Refuse, with a `ValueError`, numbers beside a system that is made already."""
+    names = [*numbers, *groups]
+    if names:
+        raise ValueError(
+            f"Unknown argument {names[0]!r}. To follow or vary a number of the rig, pass a "
+            "function that makes the rig from named numbers, in place of the rig itself."
+        )
+
+
+def made_by(make: Callable[..., AbstractSystem], numbers: Mapping[str, Any]) -> AbstractSystem:
+    """Call the function of a system. Raises `ValueError` unless it makes one, of known numbers."""
+    made = make(**numbers)
+    check_made(make, made)
+    return made

@@ -10,25 +10,37 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from vibrojax._checks import check_choice, check_count, check_not_negative, check_range, nearest
-from vibrojax._described import recipe
+from vibrojax._checks import (
+    axis_of,
+    check_choice,
+    check_count,
+    check_not_negative,
+    check_range,
+    check_seed,
+    nearest,
+)
+from vibrojax._described import in_short, recipe
+from vibrojax._signatures import validated
 from vibrojax.results.basins import Basins
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.attractors import Attractors, BasinPlan, find_attractors
 from vibrojax.studies.axes import lanes_of
 from vibrojax.studies.frequency_sweep import check_drive, frequency_axis
+from vibrojax.studies.maps.dimensions import Zipped
 from vibrojax.studies.strobing import Strober
 from vibrojax.studies.swept_lanes import rigs_of
-from vibrojax.systems.base import AbstractSystem
+from vibrojax.systems.base import AbstractEquations, AbstractSystem
+from vibrojax.systems.states import as_state
 
-Start = Callable[..., tuple[Any, ...]]
-"""Function of two named numbers to a state (q, q'), or (q, q', memories of the stops)."""
+Start = Callable[..., Any]
+"""Function of two named numbers to a state, as one array or as (q, q')."""
 
 
+@validated
 def basins(
     system: AbstractSystem | Callable[..., AbstractSystem],
-    *,
+    *zipped: Zipped,
     start: Start,
     frequency: ArrayLike | Sequence[float] | None = None,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
@@ -63,8 +75,10 @@ def basins(
     Parameters:
         system: the rig, or a function from named numbers to a rig; then further keywords are its
             arguments, and lists among them are axes, crossed.
-        start: function of two numbers, whose names it gives, to a state at drive phase 0: q and q'
-            of shape (coordinates,) each, and the memories of stops that have one.
+        zipped: groups of arguments that go along one axis, `vj.zipped(taper=..., gap=...)`.
+        start: function of two numbers, whose names it gives, to a state at drive phase 0, as of
+            `simulate`: q and q' in the coordinates of the system, of shape (coordinates,) each (and
+            the memories of stops that have one), or what `system.state(displacement=...)` makes.
         frequency, frequency_ratio: of the drive, in Hz or over the first linear natural frequency;
             one number or an increasing list, which is an axis. Give one of the two.
         starts: `grid`, of all pairs of the two lists of numbers, or `random`, uniform in the box
@@ -95,10 +109,11 @@ def basins(
     names = numbers_of(start)
     told = _units(names, units)
     places = places_of(names, axes, starts, samples, seed)
-    lanes = lanes_of(system, {name: value for name, value in axes.items() if name not in names})
+    own = {name: value for name, value in axes.items() if name not in names}
+    lanes = lanes_of(system, own, zipped)
     check_drive(lanes.sample)
     equations = lanes.sample.equations()
-    states = states_of(start, places, starts, equations.size, equations.memory_size)
+    states = states_of(start, places, starts, equations)
     chosen = choose_method(lanes.sample, method, 1e-4, None)
     strober = Strober.of(chosen, rigs_of(lanes.systems))
     from tqdm import tqdm
@@ -154,8 +169,6 @@ def numbers_of(start: Any) -> tuple[str, ...]:
 
     Raises `ValueError` for what is no function of two numbers.
     """
-    if not callable(start):
-        raise ValueError(f"start must be a function of two numbers to (q, q'), got {start!r}.")
     needed = [p for p in inspect.signature(start).parameters.values() if p.default is p.empty]
     if len(needed) != 2 or any(p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL) for p in needed):
         raise ValueError(
@@ -179,16 +192,17 @@ def places_of(
             raise ValueError(
                 f"Give a list of {name}, a number of start. {nearest(name, [*axes] or ['nothing'])}"
             )
-        values = np.asarray(axes[name], float)
-        if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
+        values = axis_of(name, axes[name])
+        if len(values) < 2 or not (np.diff(values) > 0).all():
             raise ValueError(
-                f"{name} must be a list of at least two increasing numbers, got {axes[name]!r}."
+                f"{name} must be a list of at least two increasing numbers, "
+                f"got {in_short(axes[name])}."
             )
-        check_range(name, values, allowed="a list of finite numbers")
         found[name] = values
+    check_count("samples", samples)
+    check_seed(seed)
     if starts == "grid":
         return found
-    check_count("samples", samples)
     generator = np.random.default_rng(seed)
     return {
         name: generator.uniform(values[0], values[-1], samples) for name, values in found.items()
@@ -199,8 +213,7 @@ def states_of(
     start: Start,
     places: dict[str, Float[np.ndarray, " numbers"]],
     starts: str,
-    size: int,
-    memories: int,
+    equations: AbstractEquations,
 ) -> Float[np.ndarray, "starts states"]:
     """Return the states of all starts, the second number of a grid running fastest.
 
@@ -211,17 +224,8 @@ def states_of(
         numbers = [a.ravel() for a in np.meshgrid(*numbers, indexing="ij")]
 
     def state(*pair: Any) -> Any:
-        parts = [jnp.asarray(part, float) for part in start(**dict(zip(places, pair, strict=True)))]
-        shapes = [part.shape for part in parts]
-        wanted = [(size,), (size,), (memories,)]
-        if shapes != wanted and (shapes != wanted[:2]):
-            raise ValueError(
-                f"start must return (q, q') of shape ({size},) each"
-                + (f", and memories of shape ({memories},)" if memories else "")
-                + f", got shapes {shapes}."
-            )
-        parts += [jnp.zeros(memories)] * (3 - len(parts))
-        return jnp.concatenate(parts)
+        given = dict(zip(places, pair, strict=True))
+        return as_state("what start returns", start(**given), equations)
 
     first = state(*(float(a[0]) for a in numbers))
     try:
@@ -231,7 +235,7 @@ def states_of(
     if not np.isfinite(made).all() or first.shape != made.shape[1:]:
         at = int(np.argmin(np.isfinite(made).all(axis=1)))
         pair = ", ".join(f"{n}={a[at]:g}" for n, a in zip(places, numbers, strict=True))
-        raise ValueError(f"start must return finite numbers, got {made[at]!r} for {pair}.")
+        raise ValueError(f"start must return finite numbers, got {in_short(made[at])} for {pair}.")
     return made
 
 
@@ -257,7 +261,7 @@ def _units(names: tuple[str, ...], units: dict[str, str] | None) -> dict[str, st
     for name in units:
         if name not in names:
             raise ValueError(
-                f"units are of the numbers of start, got {name!r}. {nearest(name, names)}"
+                f"units are of the numbers of start, got {in_short(name)}. {nearest(name, names)}"
             )
     return units
 

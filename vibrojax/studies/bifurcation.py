@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
 from vibrojax._checks import check_choice, nearest
+from vibrojax._signatures import validated
 from vibrojax.results.bifurcation import BifurcationDiagram
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.axes import Lanes, lanes_of
 from vibrojax.studies.frequency_sweep import DIRECTIONS, frequency_axis
+from vibrojax.studies.maps.dimensions import Zipped
 from vibrojax.studies.regime_points import carried_points, regime_plan
 from vibrojax.studies.regimes import (
     attributes_of,
@@ -21,17 +23,19 @@ from vibrojax.studies.regimes import (
 )
 from vibrojax.studies.strobing import Strober
 from vibrojax.studies.swept_lanes import rigs_of
-from vibrojax.systems.base import AbstractSystem
+from vibrojax.systems.base import AbstractSystem, as_arrays
+from vibrojax.systems.states import as_state
 
 
+@validated
 def bifurcation_diagram(
     system: AbstractSystem | Callable[..., AbstractSystem],
-    *,
+    *zipped: Zipped,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
     along: str | None = None,
     direction: str = "both",
-    start: ArrayLike | Sequence[float] | None = None,
+    start: ArrayLike | Sequence[Any] | None = None,
     transient: int = 200,
     periods: int = 100,
     max_period: int = 16,
@@ -55,12 +59,14 @@ def bifurcation_diagram(
     Parameters:
         system: the rig, or a function from named numbers to a rig; then further keywords are its
             arguments, and lists among them are axes.
+        zipped: groups of arguments that go along one axis, `vj.zipped(taper=..., gap=...)`.
         frequency_ratio, frequency: drive frequency, one of the two (ratio to the first natural
             frequency of the unstopped system, or Hz): a number, or increasing values.
         along: name of the parameter that the motion is carried along: `frequency`, or a keyword
             with a list. By default the frequency where it is a list, else the only list.
         direction: `both`, `forward` (upwards) or `backward`.
-        start: state (q, q', memories) at drive phase 0 of the first value, shape (states,); at
+        start: state at drive phase 0 of the first value, as of `simulate`: what
+            `system.state(displacement=...)` makes, or a state in the coordinates of the system; at
             rest by default.
         transient: drive periods marched at every value before anything is looked at.
         periods: drive periods observed at every value.
@@ -82,10 +88,10 @@ def bifurcation_diagram(
         barrier=barrier,
         spectrum=spectrum,
     )
-    lanes = lanes_of(system, axes)
+    lanes = lanes_of(system, axes, zipped)
     course = _course(lanes, axis, grid, along)
     chosen = regime_method(lanes.sample, axis, method, step_tolerance, steps_per_period)
-    state = start_states(lanes.sample, None if start is None else [start], None, 0)
+    state = _first_state(lanes.sample, start)
     strober = Strober.of(chosen, rigs_of(lanes.systems))
     ways = DIRECTIONS[direction]
     count = len(course.rig)
@@ -108,6 +114,16 @@ def bifurcation_diagram(
         ratio_units=ratio_units,
         attributes=attributes_of("vibrojax bifurcation diagram", lanes, chosen, plan),
     )
+
+
+def _first_state(sample: AbstractSystem, start: Any) -> Float[np.ndarray, "1 states"]:
+    """Return the state to start from, at rest where none is given.
+
+    Raises `ValueError` for what is no state.
+    """
+    if start is None:
+        return start_states(sample, None, None, 0)
+    return np.asarray(as_state("start", start, as_arrays(sample).equations()))[None]
 
 
 class _Course(NamedTuple):
@@ -136,6 +152,11 @@ def _course(lanes: Lanes, axis: str, grid: np.ndarray, along: str | None) -> _Co
     if along not in lists:
         raise ValueError(f"along must name a list, got {along!r}. {nearest(str(along), lists)}")
     values = lists[along]
+    if values.dtype.kind != "f":
+        raise ValueError(
+            f"along must name one list of numbers, got {along!r}: a motion is not carried along "
+            "numbers that go together, or texts. Let the function compute the others from one."
+        )
     if (np.diff(values) <= 0).any():
         at = int(np.flatnonzero(np.diff(values) <= 0)[0])
         raise ValueError(

@@ -177,9 +177,16 @@ def _read(
 
     if not plan.exact:
         return balanced(np.arange(len(lane)))
-    point = make_exact(paths, lane, depth, parameter, period=plan.period)
+    ends = np.isin(parameter, (plan.low, plan.high))
+    point = make_exact(paths, lane, depth, parameter, period=plan.period, hold=ends)
+    # What moves across the branch can leave the range.
+    left = np.flatnonzero((point.parameter < plan.low) | (point.parameter > plan.high))
+    point = _held(plan, paths, lane, parameter, point, left, left)
     for way in (-1, 1):
-        point = _from_neighbours(plan, paths, lane, parameter, point, way)
+        # Next to a touch the sampled motion can have a contact too many or too few.
+        failed = np.flatnonzero(~point.valid)
+        near = np.clip(failed + way, 0, len(lane) - 1)
+        point = _held(plan, paths, lane, parameter, point, failed, near)
     found = point.reading._asdict() | {
         "parameter": point.parameter,
         "multipliers": point.multipliers,
@@ -195,32 +202,27 @@ def _read(
     return columns
 
 
-def _from_neighbours(
+def _held(
     plan: Plan,
     paths: AbstractPath,
     lane: np.ndarray,
     parameter: np.ndarray,
     point: ExactPoint,
-    way: int,
+    which: np.ndarray,
+    near: np.ndarray,
 ) -> ExactPoint:
-    """Find what was not found from the point before or after it, at its own parameter.
-
-    Next to a touch the sampled motion can have a contact too many or too few.
-    """
-    failed = np.flatnonzero(~point.valid)
-    near = np.clip(failed + way, 0, len(lane) - 1)
-    usable = point.valid[near] & (lane[near] == lane[failed])
-    failed, near = failed[usable], near[usable]
-    if not len(failed):
+    """Find some points at their own parameters, each from the motion of itself or of another."""
+    usable = point.valid[near] & (lane[near] == lane[which])
+    which, near = which[usable], near[usable]
+    if not len(which):
         return point
     events, orbit = take((point.events, point.orbit), near)
     guess = Guess(events, orbit, np.ones(len(near), bool))
-    again = exact_from(paths, lane[failed], guess, parameter[failed], period=plan.period, hold=True)
-    found = again.valid
+    again = exact_from(paths, lane[which], guess, parameter[which], period=plan.period, hold=True)
 
     def put(a, b):
         a = np.array(a)
-        a[failed[found]] = b[found]
+        a[which] = b
         return a
 
     return jax.tree.map(put, point, again)

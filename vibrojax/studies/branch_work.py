@@ -1,16 +1,22 @@
 """Tracing the branches of a continuation: where they start, and what is tried when one fails."""
 
+from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
+from vibrojax._warn import warn
 from vibrojax.response.continuation import Ending, Settings, begin
 from vibrojax.response.paths import AbstractPath
 from vibrojax.response.tracing import Traced, free_motion, take, trace_branches
 from vibrojax.results.branch import Branch
+from vibrojax.results.periodic_response import ELSEWHERE
 from vibrojax.studies.branch_finishing import finish
 from vibrojax.studies.continuation_plan import Plan, Resolution
 from vibrojax.studies.starting import settled_guess
+from vibrojax.systems.states import ABOUT_STATES, as_state
 
 CONVERGED = 1e-4
 """Newton correction at which a point to be made exact counts as found; others go on to 1e-8."""
@@ -128,7 +134,9 @@ class BranchWork:
         plan = self.plan
         if len(plan.labels) != 1:
             raise ValueError("start is for one branch: give no lists besides it.")
-        state, value = start_of(start, plan.axis)
+        given, value = start_of(start, plan.axis)
+        place = eqx.filter_eval_shape(lambda p: take(p, 0).at(jnp.asarray(value)), self.paths)
+        state = np.asarray(as_state("start", given, place.equations))
         if not plan.low <= value <= plan.high:
             raise ValueError(
                 f"start has {plan.axis} = {value:g}, outside the range {plan.low:g} to "
@@ -145,7 +153,25 @@ class BranchWork:
             both, np.repeat(guess, 2, axis=0), np.full(2, value), direction=np.array([1.0, -1.0])
         )
         joined, note = _joined(*ways)
-        return self.finished([joined], [note])[0]
+        branch = self.finished([joined], [note])[0]
+        weight = take(self.paths, 0).at(jnp.asarray(value)).equations.energy_weight
+        return _with_distance(branch, state, np.asarray(weight))
+
+
+def _with_distance(branch: Branch, start: np.ndarray, weight: np.ndarray) -> Branch:
+    """Say it where a branch passes far from the state that it was to start from."""
+    states = branch.initial_state * weight
+    size = np.linalg.norm(states, axis=1)
+    away = np.linalg.norm(states - start * weight, axis=1) / np.where(size > 0, size, 1.0)
+    nearest = np.min(away, where=np.isfinite(away), initial=np.inf)
+    if not len(states) or nearest <= ELSEWHERE:
+        return branch
+    told = (
+        f"It passes {nearest:.2g} of its size away from the start: it may be another branch than "
+        "the one meant."
+    )
+    warn(f"From this start: {told} {ABOUT_STATES}")
+    return replace(branch, sentence=f"{branch.sentence} {told}")
 
 
 def _joined(up: Traced, down: Traced) -> tuple[Traced, str]:
@@ -163,13 +189,13 @@ def _joined(up: Traced, down: Traced) -> tuple[Traced, str]:
     return joined, "" if completed else f" Downwards: {down.ending.sentence}"
 
 
-def start_of(start: Any, name: str) -> tuple[np.ndarray, float]:
+def start_of(start: Any, name: str) -> tuple[Any, float]:
     """Read a start: a `PeriodicResponse`, or (state, value)."""
     if hasattr(start, "initial_state"):
-        return np.asarray(start.initial_state), float(getattr(start, name))
+        return start, float(getattr(start, name))
     try:
         state, value = start
-        return np.asarray(state, float), float(value)
+        return state, float(value)
     except (TypeError, ValueError):
         raise ValueError(
             f"start must be a PeriodicResponse or (state, {name}), got {start!r}."

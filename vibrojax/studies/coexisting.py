@@ -7,7 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax._checks import check_count, check_needed_arguments, check_positive
+from vibrojax._checks import (
+    check_count,
+    check_names,
+    check_needed_arguments,
+    check_positive,
+    check_seed,
+)
+from vibrojax._signatures import validated
 from vibrojax.response.tracing import take
 from vibrojax.results.branch import Branch
 from vibrojax.results.coexisting import Coexisting, Motion
@@ -17,12 +24,13 @@ from vibrojax.studies.continuation_axes import check_system
 from vibrojax.studies.continuation_paths import frequency_paths
 from vibrojax.studies.continue_response import continue_response
 from vibrojax.studies.starting import settled
-from vibrojax.systems.base import AbstractSystem, as_arrays, check_is_system
+from vibrojax.systems.base import AbstractSystem, as_arrays, check_made
 
 SAME = 1e-3
 """Relative distance of states below which two motions are one."""
 
 
+@validated
 def coexisting_responses(
     system: AbstractSystem | Callable[..., AbstractSystem],
     *,
@@ -56,6 +64,7 @@ def coexisting_responses(
     check_count("starts", starts)
     check_count("max_period", max_period)
     check_count("max_periods", max_periods, least=2 * max_period + 1)
+    check_seed(seed)
     check_positive("size", size, "(times the contact-free response)")
     if (frequency_ratio is None) == (frequency is None):
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
@@ -63,10 +72,10 @@ def coexisting_responses(
     value = float(frequency_ratio if frequency_ratio is not None else frequency or 0.0)
     check_positive("frequency_ratio" if is_ratio else "frequency", value, "")
     if not isinstance(system, AbstractSystem):
-        if not callable(system):
-            check_is_system(system)
+        check_names(system, numbers)
         check_needed_arguments(system, numbers)
-        system = system(**numbers)
+        make, system = system, system(**numbers)
+        check_made(make, system)
     elif numbers:
         raise ValueError(f"Unknown argument {next(iter(numbers))!r}: the system is made already.")
     check_system(system)

@@ -1,16 +1,16 @@
 """What the numbers in a continuation's call mean: the range to follow, axes, fixed ones."""
 
-import inspect
-import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax._checks import check_needed_arguments, check_positive, name_of, nearest
-from vibrojax._described import recipe
+from vibrojax._checks import check_positive
+from vibrojax._described import in_short, recipe
 from vibrojax.response.methods import check_balance
+from vibrojax.studies.axes import check_lists, check_no_numbers, made_by
 from vibrojax.studies.frequency_sweep import check_drive
+from vibrojax.studies.maps.dimensions import Arguments, arguments_of
 from vibrojax.systems.base import (
     AbstractEquations,
     AbstractSystem,
@@ -40,20 +40,20 @@ class Along(NamedTuple):
     description: str
 
     @property
-    def numbers(self) -> dict[str, Any]:
-        """Axes and fixed numbers, for `lanes_of`."""
-        return {n: list(v) for n, v in self.axes.items()} | self.fixed | self.static
+    def systems(self) -> list[AbstractSystem]:
+        """The systems of all lanes, where the frequency is followed."""
+        return [_make(self.make, self.static | self.fixed | row) for row in self.labels]
 
 
 def _range(name: str, value: tuple) -> tuple[float, float]:
     if len(value) != 2:
-        raise ValueError(f"{name} must be a range (low, high), got {value!r}.")
+        raise ValueError(f"{name} must be a range (low, high), got {in_short(value)}.")
     try:
         low, high = float(value[0]), float(value[1])
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a range of two numbers, got {value!r}.") from None
+        raise ValueError(f"{name} must be a range of two numbers, got {in_short(value)}.") from None
     if not (np.isfinite(low) and np.isfinite(high)):
-        raise ValueError(f"{name} must be a range of finite numbers, got {value!r}.")
+        raise ValueError(f"{name} must be a range of finite numbers, got {in_short(value)}.")
     if not low < high:
         raise ValueError(
             f"{name} = ({low:g}, {high:g}) is a range without width: give (low, high) with low "
@@ -85,6 +85,7 @@ def along_of(
     frequency_ratio: Any,
     frequency: Any,
     numbers: dict[str, Any],
+    groups: tuple[Any, ...] = (),
 ) -> Along:
     """Sort the numbers of a call. Raises `ValueError` as `continue_response` says."""
     name, value = _frequency(frequency_ratio, frequency)
@@ -94,28 +95,25 @@ def along_of(
     if follows_frequency == bool(ranges) or len(ranges) > 1:
         raise ValueError(
             f"Give exactly one range (low, high) to follow: {name} or one argument of the "
-            f"function. Got {1 if follows_frequency else 0} for {name} and {len(ranges)} of the "
-            "function."
+            f"function. Got {1 if follows_frequency else 0} for {name} and {len(ranges)} among "
+            f"the numbers of the function ({', '.join(numbers) or 'there are none'})."
         )
-    if isinstance(system, AbstractSystem) and numbers:
-        raise ValueError(
-            f"Unknown argument {next(iter(numbers))!r}. To follow or vary a number of the rig, "
-            "pass a function that makes the rig from named numbers, in place of the rig itself."
-        )
-    if not isinstance(system, AbstractSystem):
-        _check_names(system, numbers)
-    axes = {
-        n: np.asarray(v, float) for n, v in others.items() if np.ndim(v) > 0 and not _is_text(v)
-    }
-    for n, values in axes.items():
-        if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-            raise ValueError(f"{n} must be a non-empty list of finite numbers, got {others[n]!r}.")
-    plain = {n: v for n, v in others.items() if n not in axes}
-    fixed = {n: float(v) for n, v in plain.items() if _is_real(v)}
-    static = {n: v for n, v in plain.items() if n not in fixed}
-    labels = [
-        dict(zip(axes, map(float, row), strict=True)) for row in itertools.product(*axes.values())
-    ]
+    if isinstance(system, AbstractSystem):
+        check_no_numbers(numbers, groups)
+        named = Arguments((), {})
+    else:
+        check_lists(others)
+        named = arguments_of(system, groups, others, given=ranges)
+    for dimension in named.dimensions:
+        if dimension.is_text:
+            raise ValueError(
+                f"{dimension.name} must be numbers, got texts among them: a branch per text is a "
+                "call of its own."
+            )
+    fixed = {n: float(v) for n, v in named.fixed.items() if _is_real(v)}
+    static = {n: v for n, v in named.fixed.items() if n not in fixed}
+    varied = [n for d in named.dimensions for n in d.values]
+    labels = [{n: float(named.at(k)[n]) for n in varied} for k in np.ndindex(*named.shape)]
     if follows_frequency:
         followed, (low, high) = name, _range(name, value)
         sample = _make(system, static | fixed | labels[0])
@@ -136,7 +134,7 @@ def along_of(
         name=followed,
         low=low,
         high=high,
-        axes=axes,
+        axes=named.axes,
         fixed=fixed,
         static=static,
         labels=labels,
@@ -147,36 +145,14 @@ def along_of(
     )
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str | bytes)
-
-
 def _is_real(value: Any) -> bool:
     return isinstance(value, float | np.floating) or (
-        np.ndim(value) == 0 and hasattr(value, "dtype")
+        hasattr(value, "dtype") and np.ndim(value) == 0
     )
 
 
-def _check_names(system: Any, numbers: dict[str, Any]) -> None:
-    if not callable(system):
-        raise ValueError(f"system must be a system or a function that makes one, got {system!r}.")
-    check_needed_arguments(system, numbers)
-    parameters = inspect.signature(system).parameters.values()
-    if any(p.kind is p.VAR_KEYWORD for p in parameters):
-        return
-    known = [p.name for p in parameters]
-    for n in numbers:
-        if n not in known:
-            raise ValueError(f"Unknown argument {n!r}. {nearest(n, known)}")
-
-
 def _make(system: Any, numbers: dict[str, Any]) -> AbstractSystem:
-    if isinstance(system, AbstractSystem):
-        return system
-    made = system(**numbers)
-    if not isinstance(made, AbstractSystem):
-        raise ValueError(f"{name_of(system)} must return a system, got {made!r}.")
-    return made
+    return system if isinstance(system, AbstractSystem) else made_by(system, numbers)
 
 
 def check_system(system: AbstractSystem) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from vibrojax.response.paths import AbstractPath, ParameterPath, frequency_path, localise
 from vibrojax.response.tracing import in_batches
-from vibrojax.studies.axes import lanes_of
+from vibrojax.studies.axes import stacked
 from vibrojax.studies.continuation_axes import Along
 from vibrojax.systems.base import AbstractSystem
 
@@ -21,10 +21,9 @@ def frequency_paths(systems: AbstractSystem, is_ratio: bool, exact: bool) -> Abs
 def paths_of(along: Along, exact: bool) -> AbstractPath:
     """Make the stacked paths of all lanes."""
     if along.name in ("frequency_ratio", "frequency"):
-        systems = lanes_of(along.make, along.numbers).systems
-        return frequency_paths(systems, along.name == "frequency_ratio", exact)
+        return frequency_paths(stacked(along.systems), along.name == "frequency_ratio", exact)
     count = len(along.labels)
-    rows = {n: jnp.asarray([labels[n] for labels in along.labels]) for n in along.axes}
+    rows = {n: jnp.asarray([labels[n] for labels in along.labels]) for n in along.labels[0]}
     fixed = {n: jnp.full(count, v, float) for n, v in along.fixed.items()}
     return ParameterPath(
         make=along.make,

@@ -6,14 +6,17 @@ from typing import Any, overload
 from jaxtyping import ArrayLike
 
 from vibrojax._checks import check_count, check_range
+from vibrojax._signatures import validated
 from vibrojax.response.continuation import LONGEST_STEP
 from vibrojax.response.methods import HarmonicBalance
 from vibrojax.results.branch import Branch, Branches
+from vibrojax.results.periodic_response import PeriodicResponse
 from vibrojax.stepping.choice import is_exact
 from vibrojax.studies.branch_work import BranchWork
 from vibrojax.studies.continuation_axes import along_of
 from vibrojax.studies.continuation_paths import paths_of
 from vibrojax.studies.continuation_plan import Plan, Resolution
+from vibrojax.studies.maps.dimensions import Zipped
 from vibrojax.systems.base import AbstractSystem
 
 
@@ -26,7 +29,7 @@ def continue_response(
     period: int = 1,
     tolerance: float = 1e-4,
     method: HarmonicBalance | None = None,
-    start: Any = None,
+    start: PeriodicResponse | tuple[ArrayLike | Sequence[float], float] | None = None,
     max_points: int = 2000,
     longest_step: float = LONGEST_STEP,
 ) -> Branch: ...
@@ -35,28 +38,29 @@ def continue_response(
 @overload
 def continue_response(
     system: Callable[..., AbstractSystem],
-    *,
+    *zipped: Zipped,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
     period: int = 1,
     tolerance: float = 1e-4,
     method: HarmonicBalance | None = None,
-    start: Any = None,
+    start: PeriodicResponse | tuple[ArrayLike | Sequence[float], float] | None = None,
     max_points: int = 2000,
     longest_step: float = LONGEST_STEP,
     **numbers: Any,
 ) -> Branch | Branches: ...
 
 
+@validated
 def continue_response(
     system: AbstractSystem | Callable[..., AbstractSystem],
-    *,
+    *zipped: Zipped,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
     period: int = 1,
     tolerance: float = 1e-4,
     method: HarmonicBalance | None = None,
-    start: Any = None,
+    start: PeriodicResponse | tuple[ArrayLike | Sequence[float], float] | None = None,
     max_points: int = 2000,
     longest_step: float = LONGEST_STEP,
     **numbers: Any,
@@ -69,14 +73,17 @@ def continue_response(
 
     Parameters:
         system: a system with stops, or a function from named numbers to one.
+        zipped: groups of arguments that go along one axis, `vj.zipped(taper=..., gap=...)`.
         frequency_ratio, frequency: the drive frequency (ratio to the first natural frequency of
             the unstopped system, or Hz): a range (low, high) to follow, or one number.
         period: drive periods after which the motion repeats.
         tolerance: relative error to aim at, where motions are not exact.
         method: `HarmonicBalance(samples=..., harmonics=...)` to choose the resolution.
-        start: where to start inside the range: a `PeriodicResponse`, or a state (q, q') at
-            drive phase 0 with its parameter, as `(state, value)`; the branch is then followed both
-            ways. By default it starts at the low end of the range.
+        start: where to start inside the range: a `PeriodicResponse`, or a state at drive phase 0
+            with its parameter, as `(state, value)`; the branch is then followed both ways. The
+            state is as of `simulate`: what `system.state(displacement=...)` makes, or (q, q') in
+            the coordinates of the system; where the branch passes far from it, a warning and the
+            branch's sentence say so. By default it starts at the low end of the range.
         max_points: most points of a branch.
         longest_step: longest step of the arclength.
         numbers: arguments of the function: a tuple (low, high) is the range to follow (exactly one
@@ -92,7 +99,7 @@ def continue_response(
     check_range("tolerance", tolerance, 0.0, 0.1, include_low=False, allowed="above 0, up to 0.1")
     check_range("longest_step", longest_step, 1e-4, 1.0, allowed="from 1e-4 to 1")
     method = HarmonicBalance() if method is None else method
-    along = along_of(system, frequency_ratio, frequency, numbers)
+    along = along_of(system, frequency_ratio, frequency, numbers, zipped)
     exact = is_exact(along.sample)
     plan = Plan(
         axis=along.name,

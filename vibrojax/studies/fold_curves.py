@@ -1,12 +1,15 @@
 """Folds followed in a second number: the hysteresis region of a map as lines."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike
 
 from vibrojax._checks import check_count
+from vibrojax._described import in_short
+from vibrojax._signatures import validated
 from vibrojax.response.folds import Fold, fold_response
 from vibrojax.results.branch import Branch, SpecialPoint
 from vibrojax.results.fold_curves import FoldCurve, FoldCurves
@@ -22,11 +25,12 @@ BRIDGE_NEAR = 0.005
 """The same where it is taken from a new branch."""
 
 
+@validated
 def fold_curves(
     system: Callable[..., AbstractSystem] | AbstractSystem,
     *,
-    frequency_ratio: Any = None,
-    frequency: Any = None,
+    frequency_ratio: ArrayLike | Sequence[float] | None = None,
+    frequency: ArrayLike | Sequence[float] | None = None,
     start: float | None = None,
     max_points: int = 400,
     **numbers: Any,
@@ -57,10 +61,12 @@ def fold_curves(
             "fold_curves needs a function that makes the system from named numbers, got "
             f"{type(system).__name__}."
         )
+    if (frequency_ratio is None) == (frequency is None):
+        raise ValueError("Give frequency_ratio or frequency, one of the two.")
     axis = "frequency_ratio" if frequency_ratio is not None else "frequency"
     swept = frequency_ratio if frequency_ratio is not None else frequency
     if not isinstance(swept, tuple):
-        raise ValueError(f"{axis} must be a range (low, high), got {swept!r}.")
+        raise ValueError(f"{axis} must be a range (low, high), got {in_short(swept)}.")
     middle = float(np.mean(swept))
     is_ratio = axis == "frequency_ratio"
     along = along_of(system, middle if is_ratio else None, None if is_ratio else middle, numbers)

@@ -9,10 +9,13 @@ from jaxtyping import ArrayLike
 
 from vibrojax._checks import check_choice, check_count, check_frequencies, check_range, concrete
 from vibrojax._described import recipe
+from vibrojax._signatures import validated
+from vibrojax._warn import warn
 from vibrojax.results.frequency_response import FrequencyResponse
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.axes import Lanes, lanes_of
+from vibrojax.studies.maps.dimensions import Zipped
 from vibrojax.studies.swept_lanes import SweepPlan, Swept, numbers_of_jumps, rigs_of, sweep_rigs
 from vibrojax.systems.base import AbstractSystem
 
@@ -23,9 +26,10 @@ DIRECTIONS: dict[str, tuple[str, ...]] = {
 }
 
 
+@validated
 def frequency_sweep(
     system: AbstractSystem | Callable[..., AbstractSystem],
-    *,
+    *zipped: Zipped,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
     direction: str = "both",
@@ -47,6 +51,7 @@ def frequency_sweep(
     Parameters:
         system: the rig, or a function from named numbers to a rig; then further keywords are its
             arguments, and lists among them are axes, crossed, which the result carries by name.
+        zipped: groups of arguments that go along one axis, `vj.zipped(taper=..., gap=...)`.
         frequency_ratio: drive frequencies over the first linear natural frequency of the
             unstopped system, increasing, shape (frequencies,).
         frequency: the same in Hz; give one of the two.
@@ -62,11 +67,12 @@ def frequency_sweep(
         progress: show a progress bar; by default on long runs in a terminal.
 
     Raises `ValueError` for frequencies that are empty, not finite or not increasing, an unknown
-    keyword, a system without a drive, or settings that cannot work. Source: Gandhi and Vyas 2017,
+    keyword, a system without a drive, or settings that cannot work. Warns of frequencies at which
+    an undamped mode that no stop holds grows without bound. Source: Gandhi and Vyas 2017,
     sec. 3.1.
     """
     axis, grid = frequency_axis(frequency_ratio, frequency)
-    lanes = lanes_of(system, axes)
+    lanes = lanes_of(system, axes, zipped)
     plan = sweep_plan(
         lanes.sample,
         axis,
@@ -85,7 +91,8 @@ def frequency_sweep(
     points = len(grid) * len(plan.directions) * int(np.prod(lanes.shape))
     delay = 2.0 if progress is None else 0.0
     with tqdm(total=points, desc="sweep", disable=hidden, delay=delay, unit="point") as bar:
-        swept = sweep_rigs(plan, rigs_of(lanes.systems), bar.update)
+        rigs = rigs_of(lanes.systems)
+        swept = sweep_rigs(plan, rigs, bar.update, warn)
     return _result(lanes, plan, swept)
 
 

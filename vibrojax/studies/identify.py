@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 
 from vibrojax._checks import check_count, check_range
+from vibrojax._signatures import validated
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.results.identification import Alternative, Identification, Prediction
 from vibrojax.studies.identification.curve_misfit import CurveMisfit
 from vibrojax.studies.identification.findings import early_jumps, misfit, modes_left_out
-from vibrojax.studies.identification.least_squares import LevenbergMarquardt, Search
+from vibrojax.studies.identification.least_squares import LevenbergMarquardt, Optax, Search
 from vibrojax.studies.identification.problem import Problem
 from vibrojax.studies.identification.setting_up import (
     Given,
@@ -43,6 +44,7 @@ APART = 3.0
 """Distance between alternatives, in standard deviations."""
 
 
+@validated
 def identify(
     make_system: Callable[..., AbstractSystem],
     measured: Any,
@@ -51,7 +53,7 @@ def identify(
     *,
     private: Sequence[str] = (),
     objective: str = "distance",
-    search: Search | None = None,
+    search: LevenbergMarquardt | Optax | Search | None = None,
     transforms: Mapping[str, str] | None = None,
     starts: int = 1,
     frequency_scales: tuple[float, float] = FREQUENCY_SCALES,
@@ -91,7 +93,7 @@ def identify(
     """
     found = identify_each(
         make_system,
-        [measured],
+        [measurements_of(measured)],
         guess,
         bounds,
         private=private,
@@ -106,6 +108,7 @@ def identify(
     return found[0]
 
 
+@validated
 def identify_each(
     make_system: Callable[..., AbstractSystem],
     repetitions: Sequence[Any],
@@ -114,7 +117,7 @@ def identify_each(
     *,
     private: Sequence[str] = (),
     objective: str = "distance",
-    search: Search | None = None,
+    search: LevenbergMarquardt | Optax | Search | None = None,
     transforms: Mapping[str, str] | None = None,
     starts: int = 1,
     frequency_scales: tuple[float, float] = FREQUENCY_SCALES,
@@ -139,7 +142,7 @@ def identify_each(
     first, last = frequency_scales
     check_range("frequency_scales", first, 1e-6, 0.1, allowed="from 1e-6 to 0.1")
     check_range("frequency_scales", last, 1e-6, 0.1, allowed="from 1e-6 to 0.1")
-    data = [measurements_of(m) for m in repetitions]
+    data = [measurements_of(m, "repetitions") for m in repetitions]
     if not data:
         raise ValueError("repetitions must hold at least one measurement.")
     shapes = {tuple(m.size for m in parts) for parts in data}

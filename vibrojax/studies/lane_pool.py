@@ -28,6 +28,7 @@ from vibrojax.response.settling import (
 from vibrojax.results.status import Status
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.method import AbstractMarch
+from vibrojax.stepping.resonance import is_unbounded
 
 WIDTHS = {"cpu": (2, 16, 128), "gpu": (64, 1024, 8192)}
 """How many lanes run side by side in one loop: on a CPU their tables have to stay in the cache."""
@@ -93,18 +94,19 @@ def _measure(march, rigs, state, frequency, window):
 class LanePool:
     """Lanes on their ways through frequencies; `rig[k]` is the rig of lane k among those prepared.
 
-    Arrays here have the lanes leading.
+    Arrays here have the lanes leading; `resonances` are those of `Prepared`, which are not marched.
     """
 
     def __init__(
         self,
         march: AbstractMarch,
         rig: Int[np.ndarray, " lanes"],
+        resonances: Float[np.ndarray, "modes lanes"],
         tolerance: float,
         max_period: int,
         max_periods: int,
     ):
-        self.march, self.rig = march, rig
+        self.march, self.rig, self.resonances = march, rig, resonances
         self.weight = np.asarray(march.energy_weight()).T[rig]
         self.tolerance, self.max_period = tolerance, max_period
         self.max_periods = jnp.asarray(max_periods)
@@ -129,7 +131,7 @@ class LanePool:
         self.search: Any = jax.tree.map(np.array, self._lanes_first(fresh))
         """A `Search` in arrays of numpy, lanes leading."""
         self.limit = np.full(lanes, NEAR)
-        self.stage = np.full(lanes, MARCH)
+        self.stage = self._first_stage(np.arange(lanes))
         self.period = np.zeros(lanes, np.int32)
         self.wanted = np.zeros(lanes, np.int32)
         """Period that Newton's method is to try."""
@@ -145,6 +147,13 @@ class LanePool:
                 self._run_polish(chosen)
             else:
                 tell(self._run_measure(chosen, course))
+
+    def _first_stage(self, lanes: np.ndarray) -> np.ndarray:
+        """Return MARCH; MEASURE for lanes that would grow without bound."""
+        return np.where(self._grows(lanes), MEASURE, MARCH)
+
+    def _grows(self, lanes: np.ndarray) -> np.ndarray:
+        return np.asarray(is_unbounded(self.resonances[:, lanes], self.frequency[lanes], np))
 
     def _batch(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the lanes of one loop and the same filled up to its width."""
@@ -248,7 +257,8 @@ class LanePool:
         window = np.where(self.period > 0, self.period, APERIODIC_PERIODS)
         own, lanes = self._batch(chosen[window[chosen] == window[chosen].min()])
         state = self.state[lanes]
-        lost = ~np.all(np.isfinite(state), axis=1)
+        grows = self._grows(lanes)
+        lost = grows | ~np.all(np.isfinite(state), axis=1)
         # A lane that is lost starts again from rest at the next frequency.
         state = np.where(lost[:, None], 0.0, state)
         window = np.where(lost, 0, window[lanes]).astype(np.int32)
@@ -256,7 +266,8 @@ class LanePool:
             self.march, self.rig[lanes], state.T, self.frequency[lanes], window
         )
         n = len(own)
-        end, period, lost = np.asarray(end).T[:n], self.period[own], lost[:n]
+        end, lost = np.asarray(end).T[:n], lost[:n]
+        period = np.where(lost, 0, self.period[own])
         goes_on = (period == 0) & np.isfinite(end).all(axis=1)
         # Periodic lanes go on from the orbit itself, the others from where the measuring ended.
         state = np.where(goes_on[:, None], end, state[:n])
@@ -264,8 +275,10 @@ class LanePool:
         arrived = Arrived(
             lanes=own,
             state=state,
-            period=period.copy(),
-            status=np.where(lost, Status.diverged.value, kind).astype(np.int32),
+            period=period,
+            status=np.select(
+                [grows[:n], lost], [Status.unbounded.value, Status.diverged.value], kind
+            ).astype(np.int32),
             periods_marched=self.search.marched[own].copy(),
             steps=self.search.steps[own] + np.asarray(steps)[:n],
             window=np.maximum(window[:n], 1),
@@ -275,10 +288,10 @@ class LanePool:
         return n
 
     def _send(self, lanes: np.ndarray, onwards: Onwards) -> None:
-        self.stage[lanes] = np.where(onwards.active, MARCH, IDLE)
         self.frequency[lanes] = np.where(
             onwards.active, onwards.angular_frequency, self.frequency[lanes]
         )
+        self.stage[lanes] = np.where(onwards.active, self._first_stage(lanes), IDLE)
         self.state[lanes] = onwards.state
         weighted = (onwards.state * self.weight[lanes]).T
         fresh = self._lanes_first(begin_search(weighted, self.max_period, np))

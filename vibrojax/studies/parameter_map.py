@@ -1,12 +1,10 @@
 """Parametric maps: any number of axes, larger than memory, resumable, here or on a cluster."""
 
-import hashlib
 import inspect
 import json
 import os
-import warnings
-from collections.abc import Callable, Iterator, Sequence
-from importlib.metadata import version
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import jax
@@ -14,16 +12,25 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from vibrojax._checks import check_count, check_positive, nearest
-from vibrojax._described import recipe
+from vibrojax._interrupts import stoppable
+from vibrojax._signatures import validated
+from vibrojax._warn import warn
 from vibrojax.studies.frequency_sweep import frequency_axis
 from vibrojax.studies.maps import store as stores
-from vibrojax.studies.maps.chunks import Chunks
+from vibrojax.studies.maps.continuing import opened, same_map
 from vibrojax.studies.maps.dimensions import Arguments, Zipped, arguments_of, default_of
-from vibrojax.studies.maps.measures import identity_of, measures_of, source_of
+from vibrojax.studies.maps.measures import Measures, measures_of
 from vibrojax.studies.maps.planning import MapPlan, chunks_of, plan_of
+from vibrojax.studies.maps.records import OWN
 from vibrojax.studies.maps.responses import AbstractMapResponse, Grid, chosen_response
 from vibrojax.studies.maps.rig_maker import RigMaker
 from vibrojax.studies.maps.running import Outcome, run_here, run_on_cluster
+from vibrojax.studies.maps.settings import (
+    after_computing,
+    attributes_of,
+    settings_of,
+    unread_of,
+)
 from vibrojax.studies.maps.template import Template, template_of
 from vibrojax.studies.maps.work import MapSpec
 from vibrojax.systems.base import AbstractSystem
@@ -39,9 +46,9 @@ def parameter_map(
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
     response: str | AbstractMapResponse = "sweep",
-    measures: Any = None,
+    measures: Measures | None = None,
     keep_curves: bool | None = None,
-    gradients: Sequence[str] = (),
+    gradients: str | Sequence[str] = (),
     store: str | os.PathLike[str] | None = None,
     chunk_lanes: int | None = None,
     memory: float = 1e9,
@@ -59,9 +66,9 @@ def parameter_map(
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
     response: str | AbstractMapResponse = "sweep",
-    measures: Any = None,
+    measures: Measures | None = None,
     keep_curves: bool | None = None,
-    gradients: Sequence[str] = (),
+    gradients: str | Sequence[str] = (),
     store: str | os.PathLike[str] | None = None,
     chunk_lanes: int | None = None,
     memory: float = 1e9,
@@ -72,15 +79,16 @@ def parameter_map(
 ) -> MapPlan: ...
 
 
+@validated
 def parameter_map(
     make_system: Callable[..., AbstractSystem],
     *zipped: Zipped,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
     response: str | AbstractMapResponse = "sweep",
-    measures: Any = None,
+    measures: Measures | None = None,
     keep_curves: bool | None = None,
-    gradients: Sequence[str] = (),
+    gradients: str | Sequence[str] = (),
     store: str | os.PathLike[str] | None = None,
     chunk_lanes: int | None = None,
     memory: float = 1e9,
@@ -128,8 +136,9 @@ def parameter_map(
 
     Raises `ValueError`, before anything is computed, for an argument that the function does not
     take, an axis that is empty or given twice, zipped lists of unequal lengths, a path that is not
-    a store, a store of other settings (the difference is named) or of another version; `StoreFull`
-    (an `OSError`) when the disk is full, after which the same call continues.
+    a store, a store of other settings (the difference is named) or of another version;
+    `StoreInUse` where another process writes to the store, `StoreReadOnly` where it cannot be
+    written, `StoreFull` when the disk is full, after which the same call continues (`OSError`s).
     """
     grid = _grid(frequency_ratio, frequency)
     named = arguments_of(make_system, zipped, arguments)
@@ -145,7 +154,7 @@ def parameter_map(
         raise ValueError("client= needs store=: the workers write their chunks there.")
     if client is not None and not hasattr(client, "submit"):
         raise ValueError(f"client must be a dask.distributed Client, got {client!r}.")
-    found = None if store is None else stores.attributes_of(store)
+    found = None if store is None else stores.map_at(store)
     maker = RigMaker(make_system, named)
     maker.check()
     sample = maker.sample()
@@ -156,24 +165,38 @@ def parameter_map(
     _check_names(template)
     chunks = chunks_of(maker, chosen, grid, chunk_lanes, memory, workers)
     spec = MapSpec(make_system, named, grid, chosen, wanted, keep, gradients, chunks, template)
-    settings = _settings(spec, maker)
-    if found is not None:
-        assert store is not None
-        stores.check_same(store, found, settings)
-        chunks = _same_chunks(found, chunks, chunk_lanes)
-        spec = spec._replace(chunks=chunks)
+    settings = settings_of(spec, maker)
     if dry_run:
-        return plan_of(spec, maker, workers)
-    place = stores.memory_store() if store is None else os.fspath(store)
-    if found is None:
-        attributes = _attributes(spec, sample, settings)
-        made = stores.create(place, template, chunks, attributes)
-        left = list(range(chunks.number))
-    else:
-        made = stores.open_map(place, chunks)
-        left = made.not_whole()
-    _run(spec, made, left, place, client, progress)
-    return _dataset(place, list(template.variables), in_memory=store is None)
+        if found is not None:
+            spec, _ = same_map(store, found, spec, settings, chunk_lanes)
+        return stoppable(plan_of, spec, maker, workers)
+    if store is None:
+        place = stores.memory_store()
+        made = stores.create(place, spec, attributes_of(spec, sample, settings))
+        _run(spec, made, list(range(chunks.number)), place, None, progress)
+        return _dataset(place, list(template.variables), in_memory=True)
+    place = os.fspath(store)
+    with opened(place, spec, settings, maker, chunk_lanes) as ready:
+        for sentence in ready.told:
+            warn(sentence)
+        _tell_unread(spec)
+        if ready.store is not None:
+            try:
+                _run(ready.spec, ready.store, ready.left, place, client, progress)
+            finally:
+                after = after_computing(spec, ready.settings)
+                ready.store.change_settings(json.dumps(after))
+    return _dataset(place, list(template.variables), in_memory=False)
+
+
+def _tell_unread(spec: MapSpec) -> None:
+    """Warn of what a store cannot tell apart."""
+    unread = unread_of(spec)
+    if unread:
+        warn(
+            f"{'; '.join(unread)} cannot be read. When it changes, the store is continued as if "
+            "it were the same: give another path then."
+        )
 
 
 def _grid(ratio: Any, frequency: Any) -> Grid:
@@ -203,99 +226,15 @@ def _gradients(make: Any, named: Arguments, names: Any) -> tuple[str, ...]:
 
 
 def _check_names(template: Template) -> None:
+    for name in (*template.coordinates, *template.variables):
+        if name == OWN:
+            raise ValueError(f"{name} is the name of a folder in every store: give another name.")
     for name in template.coordinates:
         if name in template.variables:
             raise ValueError(
                 f"{name} would be an axis and a result: rename the argument of the function, or "
                 "the measure."
             )
-
-
-def _settings(spec: MapSpec, maker: RigMaker) -> dict[str, Any]:
-    """All that decides the values of a map, as JSON: stores of other settings are refused."""
-    last = tuple(size - 1 for size in spec.arguments.shape)
-    return {
-        "format": stores.FORMAT,
-        "vibrojax_version": version("vibrojax"),
-        "jax_version": version("jax"),
-        "float64": bool(jax.config.read("jax_enable_x64")),
-        "axes": {
-            d.name: {n: v.tolist() for n, v in d.values.items()} for d in spec.arguments.dimensions
-        },
-        "axis_order": [d.name for d in spec.arguments.dimensions],
-        "fixed": {n: recipe(v) for n, v in spec.arguments.fixed.items()},
-        "frequency": {"axis": spec.grid.axis, "values": spec.grid.values.tolist()},
-        "single_frequency": spec.grid.single,
-        "response": spec.response.recipe,
-        "measures": {m.name: None if m.own else identity_of(m.function) for m in spec.measures},
-        "keep_curves": spec.keep_curves,
-        "gradients": list(spec.gradients),
-        "first_rig": _identity(maker.sample()),
-        "last_rig": _identity(maker.sample(last)),
-    }
-
-
-def _identity(system: AbstractSystem) -> str:
-    """A system in words, and every digit of its numbers: arrays are not printed in full."""
-    digits = hashlib.sha256()
-    for leaf in jax.tree.leaves(system):
-        digits.update(np.asarray(leaf).tobytes())
-    # Not its repr, which is for people and may change: a store is known by this text.
-    return f"{recipe(system)} {digits.hexdigest()[:16]}"
-
-
-def _attributes(spec: MapSpec, sample: AbstractSystem, settings: dict[str, Any]) -> dict[str, Any]:
-    """What the dataset says of itself: enough to make it again."""
-    dims = {*spec.template.outer, *(d for v in spec.template.variables.values() for d in v.dims)}
-    others = [name for name in spec.template.coordinates if name not in dims]
-    attributes = {
-        "title": "vibrojax parameter map",
-        "rig": recipe(sample),
-        "rig_source": source_of(spec.make),
-        "call": _call(spec),
-        "vibrojax_version": settings["vibrojax_version"],
-        "jax_version": settings["jax_version"],
-        "block": json.dumps(spec.chunks.block),
-    }
-    if others:
-        attributes["coordinates"] = " ".join(others)
-    return attributes | {"vibrojax_map": json.dumps(settings)}
-
-
-def _call(spec: MapSpec) -> str:
-    """The call that makes the map, as Python."""
-    name = getattr(spec.make, "__name__", "make_system")
-    values = spec.grid.values.tolist()
-    parts = [name if name.isidentifier() else "make_system"]
-    for d in spec.arguments.dimensions:
-        inside = ", ".join(f"{n}={v.tolist()!r}" for n, v in d.values.items())
-        if len(d.values) > 1:
-            inside = f"{d.name}=vj.zipped({inside})"
-        parts.append(inside)
-    parts += [f"{n}={recipe(v)}" for n, v in spec.arguments.fixed.items()]
-    parts.append(f"{spec.grid.axis}={values[0] if spec.grid.single else values!r}")
-    settings = spec.response.recipe
-    parts.append(f"response=vj.{settings}")
-    names = ", ".join(repr(m.name) if m.own else m.name for m in spec.measures)
-    parts.append(f"measures=[{names}]")
-    parts.append(f"keep_curves={spec.keep_curves}")
-    if spec.gradients:
-        parts.append(f"gradients={list(spec.gradients)!r}")
-    return f"vj.parameter_map({', '.join(parts)})"
-
-
-def _same_chunks(found: dict[str, Any], chunks: Chunks, asked: int | None) -> Chunks:
-    """Return the chunks of a store that is continued.
-
-    Raises `ValueError` where others are asked for by name.
-    """
-    block = tuple(json.loads(found["block"]))
-    if asked is not None and block != chunks.block:
-        raise ValueError(
-            f"chunk_lanes = {asked} makes chunks of shape {chunks.block}, but the store has "
-            f"{block}. Leave chunk_lanes out to continue it."
-        )
-    return chunks._replace(block=block)
 
 
 def _run(
@@ -311,7 +250,7 @@ def _run(
 
     lanes = [spec.chunks.at(k).lanes for k in range(spec.chunks.number)] if left else []
     total = spec.arguments.lanes
-    outcomes: Iterator[Outcome]
+    outcomes: Generator[Outcome, None, None]
     if client is None:
         outcomes = run_here(spec, made, left)
     else:
@@ -319,9 +258,12 @@ def _run(
     done = total - sum(lanes[k] for k in left)
     hidden = None if progress is None else not progress
     failures: dict[int, str] = {}
-    with tqdm(
-        total=total, initial=done, desc="map", unit="lane", unit_scale=True, disable=hidden
-    ) as bar:
+    with (
+        closing(outcomes),
+        tqdm(
+            total=total, initial=done, desc="map", unit="lane", unit_scale=True, disable=hidden
+        ) as bar,
+    ):
         for outcome in outcomes:
             if outcome.failure is not None:
                 failures[outcome.number] = outcome.failure
@@ -333,7 +275,7 @@ def _run(
         summary=_summary(spec, failures, lanes),
     )
     if failures:
-        warnings.warn(_summary(spec, failures, lanes), stacklevel=3)
+        warn(_summary(spec, failures, lanes))
 
 
 def _summary(spec: MapSpec, failures: dict[int, str], lanes: list[int]) -> str:
@@ -342,21 +284,17 @@ def _summary(spec: MapSpec, failures: dict[int, str], lanes: list[int]) -> str:
         return f"All {total:,} lanes in {spec.chunks.number:,} chunks were computed."
     missing = sum(lanes[k] for k in failures)
     first = min(failures)
-    where = ", ".join(
-        f"{d.name}[{part.start}:{part.stop}]"
-        for d, part in zip(spec.arguments.dimensions, spec.chunks.at(first).region, strict=True)
-    )
     return (
         f"{len(failures):,} of {spec.chunks.number:,} chunks failed twice ({missing:,} of "
-        f"{total:,} lanes, lane_status 'failed'). Chunk {first} at {where}: {failures[first]} "
-        "The same call with the same store again computes only what is missing."
+        f"{total:,} lanes, lane_status 'failed'). Chunk {first} at {spec.where(first)}: "
+        f"{failures[first]} The same call with the same store again computes only what is missing."
     )
 
 
 def _dataset(place: Any, names: list[str], in_memory: bool) -> "xarray.Dataset":
     import xarray
 
-    stored = xarray.open_zarr(place, consolidated=False, chunks=None)
+    stored = xarray.open_zarr(place, chunks=None)
     # In the order of the template; with every coordinate, also of curves that were not kept.
     dataset = stored[names].assign_coords(stored.coords)
     if in_memory:

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from vibrojax._checks import check_count, check_range
 from vibrojax.results.regime_kinds import regime_of
 from vibrojax.results.status import Status
+from vibrojax.stepping.resonance import is_unbounded
 from vibrojax.studies.observing import Sampling, sample_motions
 from vibrojax.studies.strobing import Numbers, StrobePlan, Strober, Tell
 
@@ -79,6 +80,9 @@ def regime_points(
     The state of a lane that was lost is rest.
     """
     seen = strober.observe(rig, angular_frequency, state, plan.strobe, tell)
+    grows = is_unbounded(np.asarray(strober.prepared.resonances)[:, rig], angular_frequency, np)
+    end = np.where(grows[:, None], np.nan, seen.end)
+    seen = seen._replace(alive=seen.alive & ~grows, period=np.where(grows, 0, seen.period), end=end)
     window = plan.strobe.periods * 2 * np.pi / angular_frequency
     kind = regime_of(
         seen.period,
@@ -93,6 +97,7 @@ def regime_points(
     sampled = sample_motions(strober, rig, angular_frequency, start, plan.sampling)
     status = np.where(seen.period > 0, Status.settled.value, Status.aperiodic.value)
     status = np.where(seen.alive, status, Status.diverged.value)
+    status = np.where(grows, Status.unbounded.value, status)
     found = {
         "period": seen.period,
         "regime": kind,

@@ -10,24 +10,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from vibrojax._checks import check_count, check_positive
-from vibrojax._described import recipe
+from vibrojax._checks import check_count, check_positive, check_range, check_seed
+from vibrojax._described import in_short, recipe
+from vibrojax._signatures import validated
 from vibrojax.results.regimes import Regimes
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.axes import Lanes, lanes_of
 from vibrojax.studies.frequency_sweep import check_drive, frequency_axis
+from vibrojax.studies.maps.dimensions import Zipped
 from vibrojax.studies.regime_points import RegimePlan, regime_plan, regime_points
 from vibrojax.studies.strobing import Strober
 from vibrojax.studies.swept_lanes import rigs_of
 from vibrojax.systems.base import AbstractSystem, LinearEquations, as_arrays
+from vibrojax.systems.states import as_state
 
 Array = np.ndarray
 
 
+@validated
 def regimes(
     system: AbstractSystem | Callable[..., AbstractSystem],
-    *,
+    *zipped: Zipped,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
     starts: int | ArrayLike | Sequence[Any] | None = None,
@@ -57,11 +61,13 @@ def regimes(
     Parameters:
         system: the rig, or a function from named numbers to a rig; then further keywords are its
             arguments, and lists among them are axes, crossed, which the result carries by name.
+        zipped: groups of arguments that go along one axis, `vj.zipped(taper=..., gap=...)`.
         frequency_ratio: drive frequencies over the first linear natural frequency of the
             unstopped system, increasing, one or more.
         frequency: the same in Hz; give one of the two.
-        starts: initial states (q, q', memories of stops) at drive phase 0, shape (starts,
-            states), or how many random ones; at rest by default.
+        starts: initial states at drive phase 0, each as of `simulate` (what
+            `system.state(displacement=...)` makes, or a state in the coordinates of the system),
+            shape (starts, states), or how many random ones; at rest by default.
         start_size: of random starts, the rms displacement of the response by their q, m; by
             default the largest clearance of the stops. States of equal energy are equally likely.
         seed: of the random starts.
@@ -93,8 +99,8 @@ def regimes(
         barrier=barrier,
         spectrum=spectrum,
     )
-    check_count("seed", seed, least=0)
-    lanes = lanes_of(system, axes)
+    check_seed(seed)
+    lanes = lanes_of(system, axes, zipped)
     chosen = regime_method(lanes.sample, axis, method, step_tolerance, steps_per_period)
     states = start_states(lanes.sample, starts, start_size, seed)
     strober = Strober.of(chosen, rigs_of(lanes.systems))
@@ -131,6 +137,9 @@ def regime_method(
     Raises `ValueError` for a system that nothing drives, one without a natural frequency where a
     ratio to it is asked for, or a method that cannot take it.
     """
+    check_range(
+        "step_tolerance", step_tolerance, 0.0, 0.1, include_low=False, allowed="above 0, up to 0.1"
+    )
     check_drive(sample)
     equations = eqx.filter_eval_shape(as_arrays(sample).equations)
     if axis == "frequency_ratio" and not isinstance(equations, LinearEquations):
@@ -160,18 +169,18 @@ def start_states(
     if isinstance(starts, int) and not isinstance(starts, bool):
         check_count("starts", starts)
         return _random_states(equations, starts, start_size, seed)
-    try:
-        states = np.asarray(starts, float)
-    except (TypeError, ValueError):
-        states = np.empty(0)
-    if states.ndim != 2 or states.shape[-1] != size or not len(states):
+    if isinstance(starts, str) or not np.iterable(starts) or not len(list(starts)):
         raise ValueError(
             f"starts must be how many random ones, or states (q, q') of shape (starts, {size}), "
-            f"got {starts!r}."
+            f"got {in_short(starts)}."
         )
-    if not np.isfinite(states).all():
-        raise ValueError(f"starts must be finite, got {states[~np.isfinite(states)][0]}.")
-    return states
+    try:
+        return np.stack([as_state("each", one, equations) for one in starts])
+    except ValueError as error:
+        raise ValueError(
+            f"starts must be how many random ones, or states (q, q') of shape (starts, {size}); "
+            f"{error}"
+        ) from None
 
 
 def _random_states(equations: Any, count: int, start_size: float | None, seed: int) -> Array:

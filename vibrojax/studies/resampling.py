@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from vibrojax._described import in_short
 from vibrojax.response.balanced_motion import read_all, solve_all
-from vibrojax.response.exact_point import Guess
+from vibrojax.response.exact_point import ExactPoint, Guess
 from vibrojax.response.tracing import exact_from, make_exact
 from vibrojax.results.branch import CURVES, Branch, axis_description
 from vibrojax.results.variables import VARIABLES
@@ -26,17 +27,23 @@ def resample(branch: Branch, values: Any) -> "xarray.Dataset":
 
     values = np.atleast_1d(np.asarray(values, float))
     if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-        raise ValueError(f"values must be a non-empty list of finite numbers, got {values!r}.")
+        raise ValueError(
+            f"values must be a non-empty list of finite numbers, got {in_short(values)}."
+        )
     at, which, first, share = _crossings(branch, values)
     crossings = int(which.max(initial=-1)) + 1
     shape = (len(values), crossings)
     columns = {name: np.full(shape, np.nan) for name in (*CURVES, "stable")}
     states = np.full((*shape, branch.initial_state.shape[1]), np.nan)
-    if len(at):
-        solved = _solve(branch, values[at], first, share)
-        for name, column in columns.items():
-            column[at, which] = solved[name]
-        states[at, which] = solved["initial_state"]
+    # What is a point of the branch already, as the ends of its range are, is not solved again.
+    known = (share == 0) | (share == 1)
+    for part, read in ((known, _points), (~known, _solve)):
+        if part.any():
+            place = at[part], which[part]
+            found = read(branch, values[at[part]], first[part], share[part])
+            for name, column in columns.items():
+                column[place] = found[name]
+            states[place] = found["initial_state"]
     units = {"ratio": branch.ratio_units}
 
     def described(name: str) -> dict[str, str]:
@@ -116,14 +123,35 @@ def _exactly(branch: Branch, values, first, share, depth):
         low, below = np.where(same, middle, low), np.where(same, value, below)
         high, above = np.where(same, high, middle), np.where(same, above, value)
         close = Guess(near.events, near.orbit, np.ones(len(left), bool))
-    found = exact_from(branch.path, lane[left], close, values[left], period=period, hold=True)
+    point = _replaced(branch, point, left, close, values)
+    # Next to a resonance without damping a sampled motion does not tell the state: from the points.
+    for way in (0, 1):
+        left = np.flatnonzero(~point.valid)
+        if len(left):
+            i = first[left] + way
+            near = make_exact(branch.path, lane[left], branch.depth[i], x[i], period=period)
+            close = Guess(near.events, near.orbit, near.valid)
+            point = _replaced(branch, point, left, close, values)
+    return point
+
+
+def _replaced(branch: Branch, point: ExactPoint, which, guess: Guess, values) -> ExactPoint:
+    """Put the motions found from guesses in the place of some points."""
+    lane = np.zeros(len(which), int)
+    found = exact_from(branch.path, lane, guess, values[which], period=branch.period, hold=True)
 
     def put(a, b):
         a = np.array(a)
-        a[left] = b
+        a[which] = b
         return a
 
     return jax.tree.map(put, point, found)
+
+
+def _points(branch: Branch, values, first, share) -> dict[str, np.ndarray]:
+    """Read points of the branch itself."""
+    index = first + share.astype(int)
+    return {n: np.asarray(getattr(branch, n))[index] for n in (*CURVES, "stable", "initial_state")}
 
 
 def _solve(branch: Branch, values, first, share) -> dict[str, np.ndarray]:

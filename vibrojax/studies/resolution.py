@@ -1,5 +1,6 @@
 """How much a result depends on rounding, sampling and the number of modes."""
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -8,6 +9,8 @@ import jax
 import numpy as np
 
 from vibrojax._checks import check_count
+from vibrojax._described import in_short
+from vibrojax._signatures import validated
 from vibrojax.response.methods import HarmonicBalance
 from vibrojax.results.branch import Branch
 from vibrojax.results.periodic_response import PeriodicResponse
@@ -18,6 +21,7 @@ from vibrojax.systems.base import AbstractSystem
 Study = Callable[[AbstractSystem, HarmonicBalance], Any]
 
 
+@validated
 def check_resolution(
     study: Study, system: AbstractSystem, *, samples: int = 256
 ) -> ResolutionCheck:
@@ -37,8 +41,12 @@ def check_resolution(
     method=m), rig)`.
     """
     check_count("samples", samples, least=16)
-    if not callable(study):
-        raise ValueError(f"study must be a function of a system and a method, got {study!r}.")
+    try:
+        inspect.signature(study).bind(system, None)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"study must be a function of a system and a method, got {in_short(study)}."
+        ) from None
     method = HarmonicBalance(samples=samples)
     base = _numbers(study(system, method))
     moved: dict[str, dict[str, np.ndarray]] = {}
@@ -107,10 +115,13 @@ def _numbers(result: Any) -> dict[str, np.ndarray]:
 
 def _moved(base: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Largest change of every number; NaN for one that only one of the results has."""
+    missing = np.asarray(np.nan)
     names = list(base) + [n for n in other if n not in base]
-    return {
-        n: np.asarray(np.max(np.abs(other[n] - base[n])))
-        if n in base and n in other
-        else np.asarray(np.nan)
-        for n in names
-    }
+    return {n: _change(base.get(n, missing), other.get(n, missing)) for n in names}
+
+
+def _change(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Largest change between two arrays; NaN where they differ in shape or are not finite."""
+    if one.shape != other.shape or not (np.isfinite(one).all() and np.isfinite(other).all()):
+        return np.asarray(np.nan)
+    return np.asarray(np.max(np.abs(other - one), initial=0.0))

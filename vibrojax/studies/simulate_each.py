@@ -11,22 +11,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from vibrojax._checks import axis_of
+from vibrojax._signatures import validated
 from vibrojax.drive import AbstractWaveform
 from vibrojax.response.simulate import Task, solve, task_of
 from vibrojax.results.histories import Histories
 from vibrojax.results.history import History
 from vibrojax.studies.axes import lanes_of
+from vibrojax.studies.maps.dimensions import Zipped
 from vibrojax.systems.base import AbstractSystem
 
 
+@validated
 def simulate_each(
     system: AbstractSystem | Callable[..., AbstractSystem],
-    *,
+    *zipped: Zipped,
     frequency: ArrayLike | Sequence[float] | None = None,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     release: ArrayLike | Sequence[float] | None = None,
     waveform: AbstractWaveform | None = None,
-    initial_states: Sequence[tuple[Any, ...]] | None = None,
+    initial_states: ArrayLike | Sequence[Any] | None = None,
     periods: float | int | None = None,
     duration: float | int | None = None,
     samples_per_period: int = 128,
@@ -47,9 +51,11 @@ def simulate_each(
 
     Parameters:
         system: what moves, or a function that makes it from named numbers.
+        zipped: groups of arguments that go along one axis, `vj.zipped(taper=..., gap=...)`.
         frequency, frequency_ratio, release: one number, or a list as an axis.
         waveform: the same drive in time for all, instead of a frequency.
-        initial_states: a list of states (q, q') as of `simulate`, the axis `start`, counted from 1.
+        initial_states: a list of states, each as the `initial_state` of `simulate`: the axis
+            `start`, counted from 1.
         periods, duration, samples_per_period, samples, sampling_rate: as of `simulate`.
         solver, tolerance: as of `simulate`.
         numbers: arguments of the function; a list is an axis, axes are crossed.
@@ -60,18 +66,18 @@ def simulate_each(
     of_call = {"frequency": frequency, "frequency_ratio": frequency_ratio, "release": release}
     given = {name: value for name, value in of_call.items() if value is not None}
     swept: dict[str, Any] = {
-        name: _axis(name, value) for name, value in given.items() if np.ndim(value) > 0
+        name: axis_of(name, value) for name, value in given.items() if np.ndim(value) > 0
     }
+    starts = list(initial_states) if np.iterable(initial_states) else []
     if initial_states is not None:
         if release is not None:
             raise ValueError("Give initial_states or release, not both.")
         if "start" in numbers:
             raise ValueError("initial_states are the axis `start`: rename that of the function.")
-        if isinstance(initial_states, str) or not len(initial_states):
+        if isinstance(initial_states, str) or not np.iterable(initial_states) or not starts:
             raise ValueError(f"initial_states must be a list of (q, q'), got {initial_states!r}.")
-        swept["start"] = np.arange(1, len(initial_states) + 1)
-    starts = [] if initial_states is None else list(initial_states)
-    lanes = lanes_of(system, numbers)
+        swept["start"] = np.arange(1, len(starts) + 1)
+    lanes = lanes_of(system, numbers, zipped)
     single: dict[str, Any] = {name: None for name in of_call} | given
 
     def task(k: int, values: tuple[Any, ...]) -> Task:
@@ -100,13 +106,6 @@ def simulate_each(
         for values in itertools.product(*swept.values())
     ]
     return Histories(lanes.axes | swept, _solve_all(_stacked(tasks)))
-
-
-def _axis(name: str, values: Any) -> np.ndarray:
-    axis = np.asarray(values, float)
-    if axis.ndim != 1 or not axis.size or not np.isfinite(axis).all():
-        raise ValueError(f"{name} must be a non-empty list of finite numbers, got {values!r}.")
-    return axis
 
 
 def _stacked(tasks: list[Task]) -> Task:

@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_range, concrete
 from vibrojax._described import recipe
+from vibrojax._signatures import validated
 from vibrojax.drive import AbstractDrive
 from vibrojax.response.single_contact import (
     check_single_stop,
@@ -40,6 +41,7 @@ def _touches(
     return jax.vmap(one)(angular_frequency)
 
 
+@validated
 def single_contact_response(
     system: AbstractSystem,
     *,

@@ -13,6 +13,7 @@ from vibrojax.drive import AbstractDrive
 from vibrojax.results.status import Status
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.method import AbstractMarch, AbstractMethod, with_traced_numbers
+from vibrojax.stepping.resonance import is_unbounded, unbounded_at
 from vibrojax.studies.jumps import Jumps, find_jumps
 from vibrojax.studies.lane_pool import Arrived, LanePool, Onwards
 from vibrojax.systems.base import AbstractEquations, AbstractSystem, LinearEquations
@@ -50,6 +51,8 @@ class Prepared(eqx.Module):
     """First natural frequency of the unstopped system, rad/s."""
     reference: Float[Array, "*rigs"]
     """What responses are divided by: the amplitude of the drive."""
+    resonances: Float[Array, "modes *rigs"]
+    """Drive frequencies at which the motion grows without bound, rad/s; NaN for other modes."""
 
 
 @eqx.filter_jit
@@ -63,7 +66,9 @@ def _prepare(method: AbstractMethod, rigs: Rigs) -> Prepared:
     def one(rig: Rigs) -> Prepared:
         reference, _ = rig.drive.reference
         first = _first_frequency(rig.equations)
-        return Prepared(method.prepare(rig.equations, rig.drive), first, jnp.asarray(reference))
+        march = method.prepare(rig.equations, rig.drive)
+        resonances = unbounded_at(rig.equations, rig.drive)
+        return Prepared(march, first, jnp.asarray(reference), resonances)
 
     return eqx.filter_vmap(one, out_axes=-1)(rigs)
 
@@ -109,7 +114,7 @@ def ratios_of(m: Measures, window: Any, reference: Any, xp: ModuleType = np) -> 
 def _variables(arrived: Arrived, reference: Float[np.ndarray, " lanes"]) -> dict[str, np.ndarray]:
     """Return the variables of some lanes."""
     values = ratios_of(arrived.measures, arrived.window, reference)
-    lost = arrived.status == Status.diverged.value
+    lost = np.isin(arrived.status, (Status.diverged.value, Status.unbounded.value))
     return {name: np.where(lost, np.nan, v) for name, v in values.items()} | {
         "period": arrived.period,
         "status": arrived.status,
@@ -195,12 +200,21 @@ def sweep_rigs(
     plan: SweepPlan,
     rigs: Rigs,
     tell: Callable[[int], object] = lambda count: None,
+    warn: Callable[[str], object] = lambda sentence: None,
 ) -> Swept:
-    """Sweep all rigs; `tell` hears how many points were reached."""
+    """Sweep all rigs; `tell` hears how many points were reached, `warn` what cannot be."""
     prepared = prepare(plan.method, rigs)
     first = np.asarray(prepared.first_frequency)
     unit = first if plan.axis == "frequency_ratio" else np.full(len(first), 2 * np.pi)
     count, ways = len(first), len(plan.directions)
+    resonances = np.asarray(prepared.resonances)[..., None]
+    grows = np.any(is_unbounded(resonances, unit[:, None] * plan.grid, np), axis=0)
+    if grows.any():
+        where = ", ".join(f"{value:.6g}" for value in plan.grid[grows])
+        warn(
+            f"{plan.axis} = {where}: {Status.unbounded.sentence} These points are not marched and "
+            "have the status 'unbounded'. Give the rig some damping, or leave them out."
+        )
     rig = np.repeat(np.arange(count), ways)
     states = prepared.march.energy_weight().shape[0]
     course = _Grid(plan, len(rig), states, unit[rig], np.asarray(prepared.reference)[rig])
@@ -219,7 +233,8 @@ def sweep_rigs(
 
 def _pool(plan: SweepPlan, prepared: Prepared, rig: np.ndarray) -> LanePool:
     tolerance = 1e-2 * plan.tolerance
-    return LanePool(prepared.march, rig, tolerance, plan.max_period, plan.max_periods)
+    resonances = np.asarray(prepared.resonances)[:, rig]
+    return LanePool(prepared.march, rig, resonances, tolerance, plan.max_period, plan.max_periods)
 
 
 def _refine(

@@ -8,7 +8,7 @@ from them once, before any stepping, so that nothing derived can go stale.
 
 import dataclasses
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -17,9 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from vibrojax._described import described, shown_value
+from vibrojax._checks import name_of
+from vibrojax._described import described, in_short, shown_value
+from vibrojax._signatures import check_not_traced, check_one_lane, validated
 from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive, AbstractWaveform
+from vibrojax.systems.states import Displacement, as_state, check_coordinates
 
 ModuleType = TypeVar("ModuleType", bound=eqx.Module)
 SystemType = TypeVar("SystemType", bound="AbstractSystem")
@@ -400,6 +403,52 @@ class AbstractSystem(eqx.Module):
     def equations(self) -> AbstractEquations:
         """Compute the equations of motion from the numbers of the system."""
 
+    def modal_coordinates(self, displacement: Displacement) -> Float[Array, " coordinates"]:
+        """Return the coordinates q of a displacement, or q' of a velocity.
+
+        Of a system that is not reduced to modes they are what is given, shape (coordinates,):
+        angles of a pendulum, say. Raises `ValueError` for another shape.
+
+        `displacement` is in the unit of the coordinates.
+        """
+        count = eqx.filter_eval_shape(as_arrays(self).equations).size
+        return check_coordinates("displacement", displacement, count, "the coordinates themselves")
+
+    def state(
+        self,
+        displacement: Displacement | None = None,
+        velocity: Displacement | None = None,
+        memory: ArrayLike | Sequence[Any] | None = None,
+    ) -> Float[Array, " states"]:
+        """Return the state of a displacement and a velocity, as studies take it to start from.
+
+            rig.state(displacement=lambda s: 2e-3 * s**2)          # of a beam, s = x/L
+            rig.state({0.5: 1e-3, 1.0: 3e-3}, velocity={1.0: 0.2, 0.5: 0.1})  # at places x/L
+            system.state(displacement=x, velocity=v)               # of a MatrixSystem
+
+        It is what `initial_state=`, `guess=`, `start=` and `starts=` take. The state itself is (q,
+        q', memories of the stops), shape (states,), q being coordinates of modes of a beam, a
+        `MatrixSystem` or a `LinearisedPendulum`, in which displacements are `shapes @ q`, and not
+        displacements of any place. It can be differentiated.
+
+        Parameters:
+            displacement: m, relative to the base: of a beam a function of x/L, or numbers by place;
+                of other systems an array over their coordinates (angles, rad, of a pendulum). At
+                rest by default.
+            velocity: the same per second.
+            memory: internal states of the stops that have one; at rest by default.
+
+        Raises `ValueError` for what is no displacement of the system, or not finite; warns where
+        the modes of a beam leave out more than a tenth of it.
+        """
+        equations = eqx.filter_eval_shape(as_arrays(self).equations)
+        parts = [
+            jnp.zeros(equations.size) if given is None else self.modal_coordinates(given)
+            for given in (displacement, velocity)
+        ]
+        rest = jnp.zeros(equations.memory_size)
+        return as_state("state", (*parts, rest if memory is None else memory), equations)
+
     def with_fixed_structure(self: SystemType) -> SystemType:
         """Return the system with nothing left in its structure that its numbers decided.
 
@@ -433,6 +482,14 @@ def check_is_system(system: Any) -> None:
     )
 
 
+def check_made(make: Any, made: Any) -> None:
+    """Raise `ValueError` unless a function of a study has made one system, of known numbers."""
+    if not isinstance(made, AbstractSystem):
+        raise ValueError(f"{name_of(make)} must return a system, got {in_short(made)}.")
+    check_one_lane("system", made)
+    check_not_traced("This study", "system", made)
+
+
 def check_stops_and_drive(stops: tuple[Stop, ...], drive: AbstractDrive) -> None:
     """Raise `ValueError` unless they are stops and a drive."""
     for stop in stops:
@@ -453,6 +510,7 @@ def equations_of(system: AbstractSystem) -> AbstractEquations:
     return system.equations()
 
 
+@validated
 class Motion(eqx.Module):
     """Equations, drive and waveform together: all that a solver's `args` need."""
 

@@ -17,6 +17,7 @@ from vibrojax._checks import (
     number_field,
 )
 from vibrojax._described import described
+from vibrojax._signatures import validated
 from vibrojax.contact import Stop
 from vibrojax.contact_laws import AbstractContactLaw, KelvinVoigt
 from vibrojax.drive import AbstractDrive, BaseMotion, NoDrive
@@ -27,6 +28,7 @@ from vibrojax.systems.pendulum_equations import PendulumEquations
 Number = float | Float[Array, "..."]
 
 
+@validated
 class Limiters(eqx.Module):
     """Two stops that move with the base, one on each side of the pendulum, at one height.
 
@@ -34,13 +36,13 @@ class Limiters(eqx.Module):
     is not above 0, a negative smoothing, or a law that is none.
     """
 
-    height: Number = number_field("height", "m")
+    height: Number = number_field("m")
     """Height h above the hinge, m."""
-    distance: Number = number_field("distance", "m")
+    distance: Number = number_field("m")
     """Distance from one limiter to the other, m; the pendulum is a line in the middle."""
     law: AbstractContactLaw  # pyright: ignore[reportGeneralTypeIssues]
     """Force as a function of penetration and rate."""
-    smoothing: Number | None = number_field("smoothing", "m", default=0.0)
+    smoothing: Number | None = number_field(default=0.0)
     """Width, m of penetration, over which the corner of the force is rounded; 0 keeps it.
 
     The printed limiters are so stiff that the pendulum rests on them 4 micrometres deep.
@@ -65,6 +67,7 @@ class Limiters(eqx.Module):
         return described(self)
 
 
+@validated
 class ElasticPendulum(AbstractSystem):
     """An inverted pendulum of rigid links with springs between them, hinged to a moving base.
 
@@ -77,27 +80,27 @@ class ElasticPendulum(AbstractSystem):
     hinge, or a drive other than `BaseMotion` and `NoDrive`.
     """
 
-    length: Number = number_field("length", "m")
+    length: Number = number_field("m")
     """Length L from hinge to tip, m."""
-    width: Number = number_field("width", "m")
+    width: Number = number_field("m")
     """Width of the section, m."""
-    thickness: Number = number_field("thickness", "m")
+    thickness: Number = number_field("m")
     """Thickness of the section in the direction of motion, m."""
-    youngs_modulus: Number = number_field("youngs_modulus", "Pa")
+    youngs_modulus: Number = number_field("Pa")
     """Young's modulus E, Pa; a joint between links of length l has the stiffness k = E I/l."""
-    density: Number = number_field("density", "kg/m3")
+    density: Number = number_field("kg/m3")
     """Density, kg/m3."""
     limiters: Limiters | None = None
     """The two limiters, or None."""
     drive: AbstractDrive = eqx.field(default_factory=NoDrive)
     """Motion of the base across the pendulum, or none."""
-    tip_mass: Number = number_field("tip_mass", "kg", default=0.0)
+    tip_mass: Number = number_field(default=0.0)
     """Mass at the tip, kg."""
-    joint_damping: Number = number_field("joint_damping", "N m s/rad", default=0.0)
+    joint_damping: Number = number_field("N m s/rad", default=0.0)
     """Damping beta of every joint between two links, N m s/rad."""
-    bearing_damping: Number = number_field("bearing_damping", "N m s/rad", default=0.0)
+    bearing_damping: Number = number_field("N m s/rad", default=0.0)
     """Damping c0 of the hinge, N m s/rad."""
-    gravity: Number = number_field("gravity", "m/s2", default=9.81)
+    gravity: Number = number_field("m/s2", default=9.81)
     """Acceleration of gravity, m/s2."""
     num_links: int = eqx.field(static=True, default=17)
     """How many rigid links there are."""
@@ -113,7 +116,7 @@ class ElasticPendulum(AbstractSystem):
         check_not_negative("joint_damping", self.joint_damping, "N m s/rad")
         check_not_negative("bearing_damping", self.bearing_damping, "N m s/rad")
         check_not_negative("gravity", self.gravity, "m/s2")
-        check_count("num_links", self.num_links, least=2)
+        check_count("num_links", self.num_links, least=2, most=1000)
         if self.limiters is not None:
             if not isinstance(self.limiters, Limiters):
                 raise ValueError(f"limiters must be Limiters(...) or None, got {self.limiters!r}.")
@@ -171,6 +174,7 @@ class ElasticPendulum(AbstractSystem):
             facing=(place == facing).astype(float),
         )
 
+    @validated(traceable=True)
     def natural_frequencies(self, support: str = "hinged") -> Float[Array, " modes"]:
         """Return the natural frequencies about the vertical, Hz, lowest first.
 
@@ -185,6 +189,7 @@ class ElasticPendulum(AbstractSystem):
         root = 2 * jnp.asarray(self.joint_stiffness) if support == "clamped" else jnp.zeros(())
         return natural_frequencies(self.equations(), root, support == "propped")
 
+    @validated(traceable=True)
     def linearised(self, num_modes: int = 6) -> LinearisedPendulum:
         """Return the small motions about the vertical in the first modes of the free pendulum.
 
@@ -196,6 +201,7 @@ class ElasticPendulum(AbstractSystem):
         return LinearisedPendulum(pendulum=self, num_modes=num_modes)  # pyright: ignore[reportCallIssue]
 
 
+@validated(traceable=True)
 def default_pendulum(
     *,
     limiter_height: Number = 0.04,
@@ -240,6 +246,12 @@ def default_pendulum(
 
     Raises `ValueError` for numbers that are no pendulum.
     """
+    check_positive("limiter_height", limiter_height, "m")
+    check_positive("limiter_distance", limiter_distance, "m")
+    check_not_negative("contact_stiffness", contact_stiffness, "N/m")
+    check_not_negative("contact_damping", contact_damping, "N s/m")
+    check_not_negative("base_amplitude", base_amplitude, "m")
+    check_not_negative("joint_damping_time", joint_damping_time, "s")
     law = KelvinVoigt(contact_stiffness, contact_damping, tension=False)
     undamped = ElasticPendulum(
         length=length,

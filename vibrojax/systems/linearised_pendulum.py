@@ -6,9 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_count, check_positive
+from vibrojax._signatures import validated
 from vibrojax.drive import AbstractDrive
 from vibrojax.systems.base import AbstractGauge, AbstractSystem, LinearEquations
 from vibrojax.systems.pendulum_equations import PendulumEquations, pendulum_observables
+from vibrojax.systems.states import Displacement, check_coordinates
 
 
 class PendulumGauge(AbstractGauge):
@@ -32,6 +34,7 @@ class PendulumGauge(AbstractGauge):
         }
 
 
+@validated
 class LinearisedPendulum(AbstractSystem):
     """An `ElasticPendulum` for small angles, reduced to modes of the free pendulum.
 
@@ -51,7 +54,7 @@ class LinearisedPendulum(AbstractSystem):
 
     def __check_init__(self) -> None:
         """Refuse what is no number of modes of this pendulum."""
-        check_count("num_modes", self.num_modes)
+        check_count("num_modes", self.num_modes, most=1000)
         links = getattr(self.pendulum, "num_links", None)
         if links is None:
             raise ValueError(f"pendulum must be an ElasticPendulum, got {self.pendulum!r}.")
@@ -76,6 +79,7 @@ class LinearisedPendulum(AbstractSystem):
         """Return the angles of the links, rad, by modal coordinate; the tip moves towards +x."""
         return _modes(self._equations())[1][:, : self.num_modes]
 
+    @validated(traceable=True)
     def angles(self, q: ArrayLike) -> Float[Array, " links"]:
         """Return the angles (rad, or rates) of modal coordinates, shape (modes,).
 
@@ -83,12 +87,14 @@ class LinearisedPendulum(AbstractSystem):
         """
         return self.shapes() @ jnp.asarray(q)
 
-    def modal_coordinates(self, angles: ArrayLike) -> Float[Array, " modes"]:
-        """Return the modal coordinates of angles (or rates), shape (links,): an `initial_state`.
+    def modal_coordinates(self, displacement: Displacement) -> Float[Array, " modes"]:
+        """Return the modal coordinates of angles of the links (or rates), shape (links,).
 
-        `angles` are rad, or rad/s. Raises `TypeError` for another shape.
+        `displacement` are the angles, rad, or rad/s. Raises `ValueError` for another shape.
         """
-        return self.shapes().T @ (self._equations().inertia @ jnp.asarray(angles))
+        full = self._equations()
+        angles = check_coordinates("displacement", displacement, full.size, "an angle per link")
+        return self.shapes().T @ (full.inertia @ angles)
 
     def equations(self) -> LinearEquations:
         """Linearise about the vertical and reduce to the modes, the damping matrix whole."""

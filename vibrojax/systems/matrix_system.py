@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._checks import check_count, concrete
 from vibrojax._described import shown_value
+from vibrojax._signatures import validated
 from vibrojax.contact import Stop
 from vibrojax.drive import AbstractDrive, NoDrive
 from vibrojax.systems.base import (
@@ -21,6 +22,7 @@ from vibrojax.systems.base import (
     as_stops,
     check_stops_and_drive,
 )
+from vibrojax.systems.states import Displacement, check_coordinates
 
 Matrix = ArrayLike | Sequence[Any]
 
@@ -38,6 +40,7 @@ class MatrixModes(NamedTuple):
         return f"MatrixModes(angular_frequency={frequencies}, shapes {np.shape(self.shapes)})"
 
 
+@validated
 class MatrixSystem(AbstractSystem):
     """M x'' + C x' + K x = b a(t) - sum over stops r_s F_s, reduced to its undamped modes.
 
@@ -106,11 +109,11 @@ class MatrixSystem(AbstractSystem):
                     f"position must be None for a Stop of a MatrixSystem, got {stop.position!r}. "
                     "Its row of stop_map says where it is."
                 )
-        self.mass = _array("mass", mass)
+        self.mass = jnp.asarray(mass, float)
         n = self.mass.shape[0] if self.mass.ndim else 0
         _check_array("mass", self.mass, (n, n), "a square matrix")
-        self.damping = _array("damping", damping)
-        self.stiffness = _array("stiffness", stiffness)
+        self.damping = jnp.asarray(damping, float)
+        self.stiffness = jnp.asarray(stiffness, float)
         for name in ("damping", "stiffness"):
             _check_array(name, getattr(self, name), (n, n), "of the shape of mass")
         for name in ("mass", "damping", "stiffness"):
@@ -118,14 +121,14 @@ class MatrixSystem(AbstractSystem):
         _check_definite("mass", self.mass, "Condense coordinates without mass.")
         _check_definite("stiffness", self.stiffness, "Hold the body: it can move without force.")
 
-        self.response_map = _array("response_map", response_map)
+        self.response_map = jnp.asarray(response_map, float)
         _check_array("response_map", self.response_map, (n,), "one number per coordinate")
         if stop_map is None and self.stops:
             raise ValueError(
                 f"stop_map must be given with stops: shape ({len(self.stops)}, {n}), the "
                 "displacement of each contact point towards its stop by coordinate."
             )
-        self.stop_map = _array("stop_map", jnp.zeros((0, n)) if stop_map is None else stop_map)
+        self.stop_map = jnp.asarray(jnp.zeros((0, n)) if stop_map is None else stop_map, float)
         _check_array(
             "stop_map", self.stop_map, (len(self.stops), n), "one row per stop, by coordinate"
         )
@@ -134,10 +137,10 @@ class MatrixSystem(AbstractSystem):
                 f"input_map must be given with a drive: shape ({n},), the generalised force of a "
                 "unit input. It is M times the influence vector for a BaseMotion."
             )
-        self.input_map = _array("input_map", jnp.zeros(n) if input_map is None else input_map)
+        self.input_map = jnp.asarray(jnp.zeros(n) if input_map is None else input_map, float)
         _check_array("input_map", self.input_map, (n,), "one number per coordinate")
         if num_modes is not None:
-            check_count("num_modes", num_modes)
+            check_count("num_modes", num_modes, most=1000)
             if num_modes > n:
                 raise ValueError(
                     f"num_modes must be at most {n}, the number of coordinates, got {num_modes}."
@@ -190,14 +193,16 @@ class MatrixSystem(AbstractSystem):
         sign = jnp.sign(jnp.take_along_axis(shapes, first[None], axis=0))
         return MatrixModes(1 / jnp.sqrt(flexibility), shapes * sign)
 
-    def modal_coordinates(self, displacement: ArrayLike) -> Float[Array, " modes"]:
-        """Return q of displacements x (or velocities) of shape (n,), for an `initial_state`.
+    def modal_coordinates(self, displacement: Displacement) -> Float[Array, " modes"]:
+        """Return q of displacements x (or velocities) of shape (n,); x = modes().shapes @ q.
 
         What the modes kept cannot represent is left out (as seen by the mass matrix).
 
-        `displacement` are x, or x'. Raises `TypeError` for another shape.
+        `displacement` are x, or x'. Raises `ValueError` for another shape.
         """
-        return self.modes().shapes.T @ (self.mass @ jnp.asarray(displacement, float))
+        meaning = "one number per coordinate"
+        x = check_coordinates("displacement", displacement, self.mass.shape[0], meaning)
+        return self.modes().shapes.T @ (self.mass @ x)
 
     def equations(self) -> LinearEquations:
         """Reduce the matrices to modes of modal mass 1 kg and place stops and drive on them.
@@ -245,13 +250,6 @@ def _coupling(numpy: Any, modal: Any) -> Any:
     away = numpy.abs(modal - numpy.diag(numpy.diagonal(modal)))
     # Entries that are 0 couple nothing, also between modes without damping.
     return numpy.max(numpy.where(away > 0, away / numpy.where(size > 0, size, 1e-300), 0.0))
-
-
-def _array(name: str, value: Any) -> Array:
-    try:
-        return jnp.asarray(value, float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be an array of numbers, got {value!r}.") from None
 
 
 def _check_array(name: str, array: Array, shape: tuple[int, ...], meaning: str) -> None:

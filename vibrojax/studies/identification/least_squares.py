@@ -15,6 +15,9 @@ import numpy as np
 import optax
 import optimistix as optx
 
+from vibrojax._checks import check_count
+from vibrojax._signatures import validated
+
 Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """From points (lanes by unknowns) and the index of their starts to residuals and Jacobians."""
 PATIENCE = 4
@@ -98,18 +101,24 @@ def _held(point, jacobian, residual, low, high):
     return np.where(out[:, None, :], 0.0, jacobian)
 
 
+@validated
 class LevenbergMarquardt:
     """optimistix.LevenbergMarquardt, within bounds, for many starts.
 
     Parameters:
         most_steps: steps from a start before it is given up.
         solver: a class of optimistix to make the solver from, called with rtol and atol.
+
+    Raises `ValueError` for fewer than one step.
     """
 
     most_steps: int
-    solver: Any
+    solver: Callable[..., Any]
 
-    def __init__(self, most_steps: int = 60, solver: Any = optx.LevenbergMarquardt) -> None:
+    def __init__(
+        self, most_steps: int = 60, solver: Callable[..., Any] = optx.LevenbergMarquardt
+    ) -> None:
+        check_count("most_steps", most_steps)
         self.most_steps, self.solver = most_steps, solver
 
     def __call__(
@@ -167,6 +176,7 @@ class LevenbergMarquardt:
         return f"LevenbergMarquardt(most_steps={self.most_steps}, solver={solver})"
 
 
+@validated
 class Optax:
     """Any optax optimiser on half the sum of squares, for many starts.
 
@@ -174,12 +184,15 @@ class Optax:
         optimiser: an optax transformation, such as `optax.adam(0.05)`; the numbers it moves are
             scaled as the `transforms` of `identify` say.
         steps: steps from a start before it is given up.
+
+    Raises `ValueError` for fewer than one step.
     """
 
     optimiser: optax.GradientTransformation
     steps: int
 
     def __init__(self, optimiser: optax.GradientTransformation, steps: int = 200) -> None:
+        check_count("steps", steps)
         self.optimiser, self.steps = optimiser, steps
 
     def __call__(

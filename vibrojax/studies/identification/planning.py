@@ -1,12 +1,11 @@
 """What to measure next: the information further points hold, from the fitted curve itself."""
 
-import inspect
 import itertools
 from typing import Any
 
 import numpy as np
 
-from vibrojax._checks import nearest
+from vibrojax._checks import check_names
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.results.identification import Identification
 from vibrojax.results.what_next import Candidate, WhatNext, points_to_halve
@@ -55,12 +54,8 @@ def what_next(fit: Identification, name: str, **changes: Any) -> WhatNext:
 
 
 def _check(fit: Identification, changes: dict[str, Any]) -> None:
-    parameters = inspect.signature(fit.asked.make).parameters.values()
-    known = [p.name for p in parameters]
-    free = any(p.kind is p.VAR_KEYWORD for p in parameters)
+    check_names(fit.asked.make, changes)
     for n in changes:
-        if n not in known and not free:
-            raise ValueError(f"Unknown argument {n!r} of the rig. {nearest(n, known)}")
         if n in fit.asked.arguments.values():
             raise ValueError(f"{n} is what is fitted: it cannot be chosen for a measurement.")
 

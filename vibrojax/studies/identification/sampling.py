@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
-from vibrojax._checks import check_count
+from vibrojax._checks import check_count, check_seed
 from vibrojax.results.identification import Identification
 from vibrojax.results.posterior import Posterior
 
@@ -25,6 +25,7 @@ def sample(fit: Identification, draws: int, *, evaluations: int = 256, seed: int
     """See `Identification.sample`."""
     check_count("draws", draws, least=10)
     check_count("evaluations", evaluations, least=16)
+    check_seed(seed)
     try:
         import blackjax  # pyright: ignore[reportMissingImports]
     except ImportError:

@@ -1,13 +1,13 @@
 """From a call of `identify` to a problem: what is fitted, what is fixed, and whether it can be."""
 
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax._checks import check_choice, check_needed_arguments, nearest
+from vibrojax._checks import check_choice, check_names, check_needed_arguments
+from vibrojax._described import in_short
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory
 from vibrojax.measured.reading import read_measured_curve
@@ -17,7 +17,7 @@ from vibrojax.studies.identification.curve_misfit import CurveMisfit
 from vibrojax.studies.identification.fold_misfit import FoldMisfit
 from vibrojax.studies.identification.history_misfit import HistoryMisfit
 from vibrojax.studies.identification.problem import Misfit, Part, Problem
-from vibrojax.systems.base import AbstractSystem
+from vibrojax.systems.base import AbstractSystem, check_made
 
 OBJECTIVES = ("distance", "pointwise", "folds")
 Measurement = MeasuredCurve | MeasuredHistory
@@ -40,19 +40,19 @@ class Given(NamedTuple):
     objective: str
 
 
-def measurements_of(measured: Any) -> tuple[Measurement, ...]:
+def measurements_of(measured: Any, name: str = "measured") -> tuple[Measurement, ...]:
     """Return what was measured as a tuple. Raises `ValueError` for anything else."""
     if isinstance(measured, str | Path):
         measured = read_measured_curve(measured)
     if isinstance(measured, MeasuredCurve | MeasuredHistory):
         return (measured,)
     if isinstance(measured, MeasuredCurves | Sequence):
-        parts = [part for one in measured for part in measurements_of(one)]
+        parts = [part for one in measured for part in measurements_of(one, name)]
         if parts:
             return tuple(parts)
     raise ValueError(
-        "measured must be a MeasuredCurve, a MeasuredHistory, several of them or the path of a "
-        f"curve, got {measured!r}."
+        f"{name} must be a MeasuredCurve, a MeasuredHistory, several of them or the path of a "
+        f"curve, got {in_short(measured)}."
     )
 
 
@@ -73,22 +73,18 @@ def given(
 ) -> Given:
     """Check the names of a call. Raises `ValueError` as `identify` says."""
     check_choice("objective", objective, OBJECTIVES)
-    if not callable(make):
-        raise ValueError(
-            f"make_system must be a function from named numbers to a system, got {make!r}. Write "
-            "def rig(stiffness=..., damping=...): return vj.ImpactingBeam(...)."
-        )
-    if not guess or not isinstance(guess, Mapping):
+    if not guess:
         raise ValueError(
             f"guess must name at least one number to fit, as dict(stiffness=3000.0), got {guess!r}."
         )
-    parameters = inspect.signature(make).parameters.values()
-    known = [p.name for p in parameters]
-    free = any(p.kind is p.VAR_KEYWORD for p in parameters)
     of_curves = {n for m in measured for n in m.parameters}
-    for name in [*guess, *numbers, *private, *of_curves]:
-        if name not in known and not free:
-            raise ValueError(f"Unknown argument {name!r} of the rig. {nearest(name, known)}")
+    for what, names in (
+        ("guess", guess),
+        ("private", private),
+        ("parameters of measured", of_curves),
+        ("call", numbers),
+    ):
+        check_names(make, names, what)
     check_needed_arguments(make, [*guess, *numbers, *of_curves])
     for what, names in (("bounds", bounds), ("transforms", transforms), ("private", private)):
         for name in names or ():
@@ -102,7 +98,7 @@ def given(
                 f"{name} is fitted (in guess), but the measurement says what it is. Leave it out "
                 "of one of the two."
             )
-    numeric = {n: _number("guess of " + n, v) for n, v in guess.items()}
+    numeric = {n: float(v) for n, v in guess.items()}
     start, arguments = {}, {}
     for name, value in numeric.items():
         if name not in private:
@@ -123,13 +119,6 @@ def given(
         transforms=dict(transforms or {}),
         objective=objective,
     )
-
-
-def _number(name: str, value: Any) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a number, got {value!r}.") from None
 
 
 def coordinates_of(given: Given) -> tuple[Coordinate, ...]:
@@ -166,8 +155,7 @@ def problem_of(given: Given, repetitions: Sequence[tuple[Measurement, ...]]) -> 
         start = {n: coordinates[u] for n, u in zip(names, unknowns, strict=True)}
         values = {n: given.guess[c.name] for n, c in start.items()}
         sample = given.make(**static, **fixed, **values)
-        if not isinstance(sample, AbstractSystem):
-            raise ValueError(f"make_system must return a system, got {sample!r}.")
+        check_made(given.make, sample)
         histories = [m for m in same if isinstance(m, MeasuredHistory)]
         curves = [m for m in same if isinstance(m, MeasuredCurve)]
         if histories and curves:
@@ -191,7 +179,7 @@ def problem_of(given: Given, repetitions: Sequence[tuple[Measurement, ...]]) -> 
 
 def _is_real(value: Any) -> bool:
     return isinstance(value, float | np.floating) or (
-        np.ndim(value) == 0 and hasattr(value, "dtype")
+        hasattr(value, "dtype") and np.ndim(value) == 0
     )
 
 

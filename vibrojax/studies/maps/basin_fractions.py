@@ -1,12 +1,15 @@
 """Maps of basins: at every point how many attractors there are, and what share they have."""
 
-import hashlib
+import json
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import ArrayLike
 
-from vibrojax._checks import check_choice
+from vibrojax._checks import axis_of, check_choice
+from vibrojax._signatures import validated
 from vibrojax.results.basins import standard_error
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
@@ -20,9 +23,10 @@ from vibrojax.studies.basins import (
     states_of,
 )
 from vibrojax.studies.frequency_sweep import check_drive
-from vibrojax.studies.maps.measures import identity_of
 from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid, Points
 from vibrojax.studies.maps.rig_maker import RigMaker
+from vibrojax.studies.maps.store_files import digest
+from vibrojax.studies.maps.told_apart import identity_of
 from vibrojax.studies.strobing import Strober
 from vibrojax.systems.base import AbstractSystem
 
@@ -37,6 +41,7 @@ VARIABLES = (
 )
 
 
+@validated
 class BasinFractions(AbstractMapResponse):
     """How many attractors a box of starts leads to, and the shares of their basins.
 
@@ -78,7 +83,7 @@ class BasinFractions(AbstractMapResponse):
         tolerance: float | int = 0.01,
         barrier: float | int = 0.0,
         method: AbstractMethod | None = None,
-        **numbers: Any,
+        **numbers: ArrayLike | Sequence[float],
     ) -> None:
         check_choice("starts", starts, ("grid", "random"))
         names = numbers_of(start)
@@ -87,7 +92,7 @@ class BasinFractions(AbstractMapResponse):
                 raise ValueError(f"Unknown argument {name!r}: start takes {', '.join(names)}.")
         places_of(names, numbers, starts, samples, seed)
         self.start = start
-        self.numbers = {n: tuple(float(v) for v in numbers[n]) for n in names}
+        self.numbers = {n: tuple(axis_of(n, numbers[n]).tolist()) for n in names}
         self.starts, self.samples, self.seed = starts, samples, seed
         self.plan = basin_plan(transient, periods, max_period, tolerance, barrier, False)
         self.method = method
@@ -96,7 +101,7 @@ class BasinFractions(AbstractMapResponse):
         equations = sample.equations()
         names = tuple(self.numbers)
         places = places_of(names, self.numbers, self.starts, self.samples, self.seed)
-        return states_of(self.start, places, self.starts, equations.size, equations.memory_size)
+        return states_of(self.start, places, self.starts, equations)
 
     def check(self, sample: AbstractSystem, grid: Grid) -> None:
         """Refuse a system that nothing drives, and starts that do not fit it."""
@@ -158,7 +163,7 @@ class BasinFractions(AbstractMapResponse):
     def recipe(self) -> str:
         """The settings as Python, and a digest of the function of the starts."""
         # What decides the values: a store of another function of starts is refused.
-        text = hashlib.sha256(identity_of(self.start).encode()).hexdigest()[:16]
+        text = digest(json.dumps(identity_of(self.start)))
         name = getattr(self.start, "__name__", "start")
         numbers = ", ".join(f"{n}={v!r}" for n, v in self.numbers.items())
         settings = ", ".join(f"{n}={v!r}" for n, v in self.plan._asdict().items() if n in SETTINGS)

@@ -8,6 +8,7 @@ import numpy as np
 
 from vibrojax._checks import check_count, check_range
 from vibrojax._described import recipe
+from vibrojax._signatures import validated
 from vibrojax.response.continuation import LONGEST_STEP
 from vibrojax.response.methods import HarmonicBalance
 from vibrojax.results.branch import CURVES, Branch
@@ -23,6 +24,7 @@ from vibrojax.studies.maps.rig_maker import RigMaker
 from vibrojax.systems.base import AbstractSystem
 
 
+@validated
 class ContinuationCurve(AbstractMapResponse):
     """Branches of periodic responses through their folds, resampled on the frequency axis.
 

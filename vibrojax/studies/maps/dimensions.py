@@ -1,12 +1,16 @@
-"""What the keywords of a map mean: crossed axes, axes that go together, fixed arguments."""
+"""What the keywords of a study mean: crossed axes, axes that go together, fixed arguments."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax._checks import check_needed_arguments, nearest
+from vibrojax._checks import check_names, check_needed_arguments
+from vibrojax._described import in_short
+from vibrojax._kinds import is_list
+from vibrojax._signatures import validated
+from vibrojax.results.axes import together
 
 RESERVED = ("direction", "crossing", "frequency", "frequency_ratio", "fold", "grazing")
 """Names that the result itself uses for dimensions."""
@@ -25,22 +29,25 @@ class Zipped:
         return f"zipped({inside})"
 
 
+@validated
 def zipped(**values: Any) -> Zipped:
-    """Return arguments that are varied together along one axis of a map, not crossed.
+    """Return arguments that are varied together along one axis of a study, not crossed.
 
         vj.parameter_map(rig, vj.zipped(taper=[0, 0.5], gap=[4e-4, 3e-4]), frequency_ratio=...)
 
-    As a positional argument of `parameter_map` the axis is called `taper_gap`; given as a keyword,
-    `design=vj.zipped(...)`, it has the name of the keyword. Raises `ValueError` for fewer than two
-    names or lists of unequal lengths.
+    As a positional argument the axis is called `taper_gap`; given as a keyword,
+    `design=vj.zipped(...)`, it has the name of the keyword. Maps and all studies over lists
+    (`frequency_sweep`, `regimes`, `simulate_each`, ...) take it. Raises `ValueError` for fewer than
+    two names or lists of unequal lengths.
 
     `values` are lists of equal length by name.
     """
     if len(values) < 2:
         raise ValueError(f"zipped needs at least two arguments to go together, got {len(values)}.")
     for name, given in values.items():
-        if np.ndim(given) != 1:
-            raise ValueError(f"zipped: {name} must be a list, got {given!r}.")
+        if not is_list(given):
+            raise ValueError(f"zipped: {name} must be a list, got {in_short(given)}.")
+        _axis(name, given)
     lengths = {name: len(given) for name, given in values.items()}
     if len(set(lengths.values())) > 1:
         told = ", ".join(f"{name} has {count}" for name, count in lengths.items())
@@ -49,7 +56,7 @@ def zipped(**values: Any) -> Zipped:
 
 
 class Dimension(NamedTuple):
-    """One axis of a map: its name and the arguments that vary along it."""
+    """One axis of a study: its name and the arguments that vary along it."""
 
     name: str
     values: dict[str, np.ndarray]
@@ -58,6 +65,12 @@ class Dimension(NamedTuple):
     def size(self) -> int:
         """Length of the axis."""
         return len(next(iter(self.values.values())))
+
+    @property
+    def axis(self) -> np.ndarray:
+        """Values as a result keeps them: numbers as floats, a group as one structured array."""
+        found = {n: v.astype(float) if v.dtype.kind in "iu" else v for n, v in self.values.items()}
+        return found[self.name] if list(found) == [self.name] else together(found)
 
     @property
     def is_text(self) -> bool:
@@ -82,6 +95,11 @@ class Arguments(NamedTuple):
         return tuple(d.size for d in self.dimensions)
 
     @property
+    def axes(self) -> dict[str, np.ndarray]:
+        """Values of the dimensions by name, as a result keeps them."""
+        return {d.name: d.axis for d in self.dimensions}
+
+    @property
     def lanes(self) -> int:
         """How many combinations there are."""
         return int(np.prod(self.shape, dtype=object))
@@ -95,9 +113,15 @@ class Arguments(NamedTuple):
 
 
 def _axis(name: str, values: Any) -> np.ndarray:
-    array = np.asarray(values)
-    if array.dtype.kind not in "fiuUb":
-        raise ValueError(f"{name} must be a list of numbers or of texts, got {values!r}.")
+    try:
+        array = np.asarray(values)
+    except ValueError:  # lists of unequal lengths
+        array = np.empty(0, object)
+    mixed = array.dtype.kind == "U" and not all(isinstance(v, str) for v in values)
+    if array.dtype.kind not in "fiuUb" or array.ndim != 1 or mixed:
+        raise ValueError(
+            f"{name} must be one value, or a list of numbers or of texts, got {in_short(values)}."
+        )
     if array.size == 0:
         raise ValueError(f"{name} is an empty axis: give at least one value.")
     if array.dtype.kind == "f":
@@ -121,18 +145,17 @@ def _dimension(name: str, given: Any) -> Dimension:
 
 
 def arguments_of(
-    make_system: Callable[..., Any], groups: tuple[Any, ...], keywords: Mapping[str, Any]
+    make_system: Callable[..., Any],
+    groups: tuple[Any, ...],
+    keywords: Mapping[str, Any],
+    *,
+    given: Collection[str] = (),
 ) -> Arguments:
-    """Sort what a map was called with.
+    """Sort what a study was called with; `given` are arguments that it takes care of itself.
 
     Raises `ValueError` for an argument that the function does not take, one that is given twice,
     an empty axis, or a name that the result needs itself.
     """
-    if not callable(make_system):
-        raise ValueError(
-            "make_system must be a function that makes a system from named numbers, got "
-            f"{make_system!r}."
-        )
     dimensions: list[Dimension] = []
     for group in groups:
         if not isinstance(group, Zipped):
@@ -142,21 +165,17 @@ def arguments_of(
             )
         dimensions.append(_dimension("_".join(group.values), group))
     fixed: dict[str, Any] = {}
-    for name, given in keywords.items():
-        if isinstance(given, Zipped) or np.ndim(given) == 1:
-            dimensions.append(_dimension(name, given))
-        elif np.ndim(given) == 0:
-            fixed[name] = given.item() if isinstance(given, np.generic) else given
+    for name, value in keywords.items():
+        if isinstance(value, Zipped) or is_list(value):
+            dimensions.append(_dimension(name, value))
         else:
-            raise ValueError(f"{name} must be one value or a list, got {np.ndim(given)} axes.")
+            fixed[name] = value.item() if isinstance(value, np.generic) else value
     varied = [n for d in dimensions for n in d.values]
-    known = _known(make_system)
-    for name in (*varied, *fixed):
-        if known is not None and name not in known:
-            raise ValueError(f"Unknown argument {name!r} of the rig. {nearest(name, known)}")
-        if [*varied, *fixed].count(name) > 1:
+    check_names(make_system, (*varied, *fixed, *given))
+    for name in (*varied, *fixed, *given):
+        if [*varied, *fixed, *given].count(name) > 1:
             raise ValueError(f"{name} is given twice: once is an axis, twice is a contradiction.")
-    check_needed_arguments(make_system, (*varied, *fixed))
+    check_needed_arguments(make_system, (*varied, *fixed, *given))
     names = [d.name for d in dimensions]
     for name in names:
         if names.count(name) > 1 or name in RESERVED:
@@ -164,17 +183,9 @@ def arguments_of(
     return Arguments(tuple(dimensions), fixed)
 
 
-def _known(make_system: Callable[..., Any]) -> list[str] | None:
-    """Names that a function takes; None where it takes any."""
-    parameters = inspect.signature(make_system).parameters.values()
-    if any(p.kind is p.VAR_KEYWORD for p in parameters):
-        return None
-    return [p.name for p in parameters]
-
-
 def default_of(make_system: Callable[..., Any], name: str) -> Any:
     """Return the default of an argument; None where there is none."""
     parameter = inspect.signature(make_system).parameters.get(name)
-    if parameter is None or parameter.default is inspect.Parameter.empty:
+    if parameter is None or parameter.default is parameter.empty:
         return None
     return parameter.default

@@ -1,7 +1,6 @@
 """What a curve comes to: peak, jumps, hysteresis, forces, or whatever the user asks."""
 
-import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +14,14 @@ from vibrojax.results.status import Status
 Curve = dict[str, Any]
 """Arrays of one lane by name: variables of the response over (direction, frequency), the frequency
 axis, and numbers such as jump_up and natural_frequency."""
+
+Measures = (
+    str
+    | Callable[[Curve], Any]
+    | Sequence[str | Callable[[Curve], Any]]
+    | Mapping[str, str | Callable[[Curve], Any]]
+)
+"""What a map may be asked to keep: names or functions, one or a list, or by name."""
 
 PLACES = 4
 """Folds or first touches kept of a branch."""
@@ -139,7 +146,9 @@ def measures_of(asked: Any, offered: tuple[str, ...]) -> tuple[Measure, ...]:
         if isinstance(one, str):
             if one not in offered:
                 reason = " for this response" if one in FUNCTIONS else ""
-                raise ValueError(f"Unknown measure {one!r}{reason}. {nearest(one, offered)}")
+                raise ValueError(
+                    f"Unknown measure {one!r}{reason} in measures. {nearest(one, offered)}"
+                )
             found.append(Measure(one, FUNCTIONS[one], True))
             continue
         if not callable(one):
@@ -156,25 +165,6 @@ def measures_of(asked: Any, offered: tuple[str, ...]) -> tuple[Measure, ...]:
         if names.count(name) > 1:
             raise ValueError(f"The measure {name!r} is asked for twice.")
     return tuple(found)
-
-
-def source_of(function: Callable[..., Any]) -> str:
-    """Return the text of a function, or what stands for it where there is none."""
-    try:
-        return inspect.getsource(function).strip()
-    except (OSError, TypeError):
-        code = getattr(function, "__code__", None)
-        if code is None:
-            return f"{type(function).__module__}.{type(function).__qualname__}"
-        return f"{code.co_code.hex()} {code.co_consts!r} {code.co_names!r}"
-
-
-def identity_of(function: Callable[..., Any]) -> str:
-    """Return what tells a function from others: its text and the values it holds on to."""
-    cells = getattr(function, "__closure__", None) or ()
-    held = [repr(cell.cell_contents) for cell in cells]
-    held += [repr(value) for value in getattr(function, "__defaults__", None) or ()]
-    return "\n".join([source_of(function), *held])
 
 
 class _Own:

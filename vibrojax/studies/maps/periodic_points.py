@@ -7,10 +7,12 @@ import jax
 import numpy as np
 
 from vibrojax._checks import check_count, check_range
+from vibrojax._signatures import validated
 from vibrojax.response.methods import HarmonicBalance, Shooting
 from vibrojax.response.periodic_response import periodic_response
 from vibrojax.response.tracing import in_batches
 from vibrojax.results.periodic_response import NUMBERS
+from vibrojax.results.status import Status
 from vibrojax.studies.frequency_sweep import check_drive
 from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid, Points
 from vibrojax.studies.maps.rig_maker import RigMaker
@@ -33,6 +35,7 @@ def _solved(systems, values, is_ratio, period, method, tolerance):
     return eqx.filter_vmap(one)(systems, values)
 
 
+@validated
 class PeriodicPoints(AbstractMapResponse):
     """The motion of a given period at every frequency, reached from rest, stable or not.
 
@@ -81,7 +84,7 @@ class PeriodicPoints(AbstractMapResponse):
     @property
     def lane_words(self) -> tuple[str, str, str]:
         """Whether a motion was found at every frequency."""
-        return "found", "not_found", "diverged"
+        return "found", "not_found", Status.unbounded.name
 
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Solve every point of a block."""
@@ -101,6 +104,7 @@ class PeriodicPoints(AbstractMapResponse):
         curves = {n: numbers[n].reshape(shape).astype(float) for n in NUMBERS if n != "frequency"}
         found = (status == 0).reshape(shape)
         curves["stable"] = np.where(found, stable.reshape(shape), np.nan)
+        status = np.where(status == Status.unbounded.value, 2, status)
         curves["status"] = status.reshape(shape).astype(np.int32)
         return Computed(
             curves=curves,

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax._checks import check_choice, nearest
+from vibrojax._signatures import validated
 from vibrojax.results.status import Status
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.studies.frequency_sweep import DIRECTIONS
@@ -36,6 +37,7 @@ NOT_COUNTED = -1
 """Steps of a lane, which this response does not count."""
 
 
+@validated
 class RegimeSweep(AbstractMapResponse):
     """Regimes with the motion carried along the frequencies, as `bifurcation_diagram` does it.
 
@@ -137,8 +139,13 @@ class RegimeSweep(AbstractMapResponse):
 
     @property
     def lane_words(self) -> tuple[str, str, str]:
-        """As bad as its worst point."""
+        """As bad as its worst point; one that grows without bound counts as diverged."""
         return Status.settled.name, Status.aperiodic.name, Status.diverged.name
+
+    @property
+    def point_words(self) -> tuple[str, ...]:
+        """Those of `Status`."""
+        return tuple(status.name for status in Status)
 
     @property
     def bytes_per_point(self) -> int:
@@ -169,7 +176,7 @@ class RegimeSweep(AbstractMapResponse):
             curves={name: found[name] for name in self.variables},
             numbers={"natural_frequency": natural},
             points=Points(states, found["period"]),
-            lane_status=found["status"].max(axis=(1, 2)),
+            lane_status=np.minimum(found["status"].max(axis=(1, 2)), Status.diverged.value),
             lane_steps=np.full(lanes, NOT_COUNTED, np.int64),
             folds={},
         )

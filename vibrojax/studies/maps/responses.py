@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax._checks import check_choice
 from vibrojax._described import described
+from vibrojax._signatures import validated
 from vibrojax.results.frequency_response import CURVES as SWEPT_CURVES
 from vibrojax.results.status import Status
 from vibrojax.stepping.method import AbstractMethod
@@ -99,6 +100,11 @@ class AbstractMapResponse(eqx.Module):
     def lane_words(self) -> tuple[str, str, str]:
         """How a lane can end, from whole to lost: a word each."""
 
+    @property
+    def point_words(self) -> tuple[str, ...]:
+        """How a point can end: a word for each number of `status`."""
+        return self.lane_words
+
     @abstractmethod
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Answer all lanes of a block.
@@ -127,6 +133,7 @@ class AbstractMapResponse(eqx.Module):
         return described(self)
 
 
+@validated
 class SettledSweep(AbstractMapResponse):
     """Sweeps with the state carried along, as `frequency_sweep` makes them.
 
@@ -203,8 +210,13 @@ class SettledSweep(AbstractMapResponse):
 
     @property
     def lane_words(self) -> tuple[str, str, str]:
-        """As bad as its worst point."""
+        """As bad as its worst point; one that grows without bound counts as diverged."""
         return Status.settled.name, Status.aperiodic.name, Status.diverged.name
+
+    @property
+    def point_words(self) -> tuple[str, ...]:
+        """Those of `Status`."""
+        return tuple(status.name for status in Status)
 
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Sweep the rigs of a block."""
@@ -212,7 +224,7 @@ class SettledSweep(AbstractMapResponse):
         swept = sweep_rigs(self._plan(sample, grid), maker.rigs(index))
         jumps = numbers_of_jumps(swept)
         curves = swept.curves
-        worst = curves["status"].max(axis=(1, 2))
+        worst = np.minimum(curves["status"].max(axis=(1, 2)), Status.diverged.value)
         settled = curves["status"] == Status.settled.value
         return Computed(
             curves=curves,

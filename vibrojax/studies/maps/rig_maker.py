@@ -1,7 +1,10 @@
 """From the function of the rig to the rigs of a block, many at once where JAX can trace it."""
 
+import hashlib
+import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import equinox as eqx
@@ -9,12 +12,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax._checks import name_of
 from vibrojax.studies.axes import stacked
+from vibrojax.studies.maps.chunks import Block
 from vibrojax.studies.maps.dimensions import Arguments, default_of
+from vibrojax.studies.maps.told_apart import value_digest
 from vibrojax.studies.swept_lanes import Rigs, rigs_of
-from vibrojax.systems.base import AbstractSystem, as_arrays
+from vibrojax.systems.base import AbstractSystem, as_arrays, check_made
 
+TOGETHER = 4096
+"""Lanes whose systems are made together to be told from others."""
+NO_RIGS = "none"
+"""Stands for rigs that cannot be made."""
 Numbers = tuple[dict[str, Any], ...]
 """Values along every dimension that is traced."""
 
@@ -35,9 +43,44 @@ def _made(make, static: dict[str, Any], fixed: dict[str, Any], numbers: Numbers,
     def flat(leaf):
         if not eqx.is_array(leaf):
             return leaf
-        return leaf.reshape((-1, *leaf.shape[depth:]))
+        # Not -1: without stops some arrays have no elements.
+        return leaf.reshape((math.prod(leaf.shape[:depth]), *leaf.shape[depth:]))
 
     return jax.tree.map(flat, made)
+
+
+def _lanes(numbers: dict[str, np.ndarray]) -> int:
+    return len(next(iter(numbers.values())))
+
+
+@contextmanager
+def _on_host() -> Iterator[None]:
+    """Compute on the processor of this host, where results are the same whatever else it has."""
+    try:
+        device = jax.local_devices(backend="cpu")[0]
+    except RuntimeError:  # JAX was told to use others only
+        yield
+        return
+    with jax.default_device(device):
+        yield
+
+
+class _Stacked:
+    """Systems stacked along a leading axis, to be told from others."""
+
+    def __init__(self, systems: AbstractSystem) -> None:
+        arrays, others = eqx.partition(systems, eqx.is_array)
+        self.leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(arrays)]
+        self.others = value_digest(others)
+
+    def digest(self, first: int = 0, last: int | None = None) -> str:
+        """Return what stands for some of them."""
+        found = hashlib.blake2b(self.others.encode(), digest_size=8)
+        for leaf in self.leaves:
+            own = np.ascontiguousarray(leaf[first:last])
+            found.update(f"{own.dtype} {own.shape}".encode())
+            found.update(own.tobytes())
+        return found.hexdigest()
 
 
 class RigMaker:
@@ -91,8 +134,7 @@ class RigMaker:
         """
         index = (0,) * len(self.arguments.dimensions) if index is None else index
         made = self.make(**self.arguments.at(index))
-        if not isinstance(made, AbstractSystem):
-            raise ValueError(f"{name_of(self.make)} must return a system, got {made!r}.")
+        check_made(self.make, made)
         return made
 
     def check(self) -> None:
@@ -108,6 +150,10 @@ class RigMaker:
         if self.traced:
             static, fixed, numbers = self._split(index)
             return _made(self.make, static, fixed, numbers, False)
+        return self._sampled(index)
+
+    def _sampled(self, index: tuple[np.ndarray, ...]) -> AbstractSystem:
+        """Return the systems of a block, stacked, each made from concrete numbers."""
         grid = np.stack(np.meshgrid(*index, indexing="ij"), axis=-1).reshape(-1, len(index))
         return stacked([self.sample(tuple(map(int, row))) for row in grid])
 
@@ -125,19 +171,92 @@ class RigMaker:
 
         With them the static arguments: `make(**static, **{n: v[k] for each})` is the rig of lane k.
         """
-        static, fixed, numbers = self._split(index)
-        lengths = [len(next(iter(d.values()))) for d in numbers]
-        count = int(np.prod(lengths, dtype=int))
-        found = {n: np.full(count, v) for n, v in fixed.items()}
-        for k, own in enumerate(numbers):
-            shape = [-1 if j == k else 1 for j in range(len(lengths))]
-            for n, v in own.items():
-                found[n] = np.broadcast_to(v.reshape(shape), lengths).ravel()
+        static, found = self._flat(index)
+        count = _lanes(found) if found else 1
         for name in names:
             if name not in found:
                 found[name] = np.full(count, float(self.default(name)))
                 static.pop(name, None)
         return static, {n: jnp.asarray(v, float) for n, v in found.items()}
+
+    def _flat(self, index: tuple[np.ndarray, ...]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Return the static arguments of a block, and its numbers lane by lane."""
+        static, fixed, numbers = self._split(index)
+        lengths = [len(next(iter(d.values()))) for d in numbers]
+        found = {n: np.full(int(np.prod(lengths, dtype=int)), v) for n, v in fixed.items()}
+        for k, own in enumerate(numbers):
+            shape = [-1 if j == k else 1 for j in range(len(lengths))]
+            for n, v in own.items():
+                found[n] = np.broadcast_to(v.reshape(shape), lengths).ravel()
+        return static, found
+
+    def digests(self, blocks: Iterable[Block]) -> Iterator[str]:
+        """Return, for each block, what stands for all numbers of its systems.
+
+        Traced systems are made operation by operation, many together: compiled as a whole a number
+        could differ in its last digit from one machine to another, or because something else in
+        the function was changed.
+        """
+        if not self.traced or all(self.static):
+            for block in blocks:
+                yield self._digest_of_samples(block)
+            return
+        together: list[tuple[Block, dict[str, np.ndarray]]] = []
+        common: dict[str, Any] = {}
+        lanes = 0
+        for block in blocks:
+            static, numbers = self._flat(block.indices)
+            if together and (static != common or lanes >= TOGETHER):
+                yield from self._digests(common, together)
+                together, lanes = [], 0
+            common = static
+            together.append((block, numbers))
+            lanes += _lanes(numbers)
+        if together:
+            yield from self._digests(common, together)
+
+    def _digest_of_samples(self, block: Block) -> str:
+        try:
+            with _on_host():
+                return _Stacked(self._sampled(block.indices)).digest()
+        except Exception:  # as will be said where it is computed
+            return NO_RIGS
+
+    def _digests(
+        self, static: dict[str, Any], blocks: list[tuple[Block, dict[str, np.ndarray]]]
+    ) -> Iterator[str]:
+        """Return what stands for the systems of some blocks, whose numbers are given."""
+        _, names = blocks[0]
+        flat = {n: np.concatenate([numbers[n] for _, numbers in blocks]) for n in names}
+        try:
+            made = _Stacked(self._by_operations(static, flat))
+        except Exception:  # one of them cannot be made
+            for block, _ in blocks:
+                yield self._digest_of_samples(block)
+            return
+        first = 0
+        for _, numbers in blocks:
+            yield made.digest(first, first + _lanes(numbers))
+            first += _lanes(numbers)
+
+    def _by_operations(self, static: dict[str, Any], flat: dict[str, np.ndarray]) -> Any:
+        """Return systems lane by lane, not compiled as a whole."""
+
+        def one(numbers: dict[str, Any]) -> AbstractSystem:
+            return as_arrays(self.make(**static, **numbers))
+
+        # Always as many, whatever the map: operations are compiled once, and no lane is treated
+        # apart as one of the odd ones at the end of a vector.
+        count = _lanes(flat)
+        padded = {n: np.pad(v, (0, -count % TOGETHER), mode="edge") for n, v in flat.items()}
+        parts = []
+        with _on_host():
+            for k in range(0, count, TOGETHER):
+                own = {n: jnp.asarray(v[k : k + TOGETHER]) for n, v in padded.items()}
+                parts.append(jax.device_get(eqx.filter_vmap(one)(own)))
+        return jax.tree.map(
+            lambda *parts: np.concatenate(parts) if eqx.is_array(parts[0]) else parts[0], *parts
+        )
 
     def default(self, name: str) -> Any:
         """Return the value of an argument that is not varied."""

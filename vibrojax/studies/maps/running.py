@@ -6,13 +6,14 @@ import pickle
 import queue
 import threading
 import uuid
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Generator
 from typing import Any, NamedTuple
 
 import jax
 
-from vibrojax.studies.maps.store import MapStore, StoreFull, open_map
+from vibrojax._interrupts import in_threads
+from vibrojax.studies.maps.store import MapStore, open_map
+from vibrojax.studies.maps.store_files import StoreFull, StoreReadOnly
 from vibrojax.studies.maps.work import MapSpec, MapWork
 
 AHEAD = 4
@@ -30,14 +31,14 @@ class Outcome(NamedTuple):
 def attempt(work: MapWork, store: MapStore, number: int) -> Outcome:
     """Compute a block and write it; once more where that fails.
 
-    Raises `StoreFull` where there is no room left, which trying again would not mend.
+    Raises `StoreFull`, `StoreReadOnly`, which trying again would not mend.
     """
     failure = ""
     for _ in range(2):
         try:
             block, values = work.compute(number)
-            store.write(block, values)
-        except StoreFull:
+            store.write(block, values, work.rigs(number))
+        except (StoreFull, StoreReadOnly):
             raise
         except Exception as error:
             failure = f"{type(error).__name__}: {error}"
@@ -65,22 +66,12 @@ class _Devices:
             self.free.put(device)
 
 
-def run_here(spec: MapSpec, store: MapStore, numbers: list[int]) -> Iterator[Outcome]:
-    """Run blocks in this process; with several devices each has a loop of its own."""
+def run_here(spec: MapSpec, store: MapStore, numbers: list[int]) -> Generator[Outcome, None, None]:
+    """Run blocks in this process, one at a time on each of its devices."""
     work = MapWork(spec)
     count = len(jax.local_devices())
-    if count == 1:
-        for number in numbers:
-            yield attempt(work, store, number)
-        return
-    devices = _Devices()
-    pool = ThreadPoolExecutor(count)
-    try:
-        running = [pool.submit(devices.attempt, work, store, number) for number in numbers]
-        for done in as_completed(running):
-            yield done.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+    run = attempt if count == 1 else _Devices().attempt
+    return in_threads(lambda number: run(work, store, number), numbers, count)
 
 
 class _Task(NamedTuple):
@@ -103,14 +94,14 @@ def _attempt_there(task: _Task, number: int) -> Outcome:
             _opened.clear()
             spec: MapSpec = pickle.loads(task.spec)
             work = MapWork(spec)
-            _opened[task.run] = work, open_map(task.path, spec.chunks), _Devices()
+            _opened[task.run] = work, open_map(task.path, spec), _Devices()
         work, store, devices = _opened[task.run]
     return devices.attempt(work, store, number)
 
 
 def run_on_cluster(
     spec: MapSpec, path: str, numbers: list[int], client: Any, store: MapStore
-) -> Iterator[Outcome]:
+) -> Generator[Outcome, None, None]:
     """Run blocks as tasks of a `dask.distributed` client; workers write their own regions."""
     import cloudpickle
     from distributed import as_completed as completed
@@ -130,7 +121,7 @@ def run_on_cluster(
     try:
         for future in ended:
             number, error = number_of.pop(future.key), future.exception()
-            if isinstance(error, StoreFull):
+            if isinstance(error, StoreFull | StoreReadOnly):
                 raise error
             if error is None:
                 yield future.result()

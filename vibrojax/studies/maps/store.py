@@ -1,51 +1,31 @@
 """The Zarr store of a map: one Zarr chunk for each block, written by region.
 
-`lane_status` is written last of a block, so where it holds something the block is whole. Single
-files appear at once or not at all (Zarr writes them beside and renames), so a store can be
-interrupted at any moment.
+Single files appear at once or not at all, and the record of a block is written last (see
+`records`), so a store can be interrupted at any moment. Every array has checksums, which readers
+check too.
 """
 
-import errno
 import json
 import os
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+import warnings
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vibrojax.studies.maps.chunks import Block, Chunks
-from vibrojax.studies.maps.template import FAILED, MISSING, Template
+from vibrojax.studies.maps.records import OWN, Records
+from vibrojax.studies.maps.store_files import disk_errors_told, remove, write_file
+from vibrojax.studies.maps.template import FAILED, MISSING
+from vibrojax.studies.maps.work import MapSpec
 
-FORMAT = 1
-"""Changes when older stores cannot be continued any more."""
 CREATING = {"vibrojax_map": ""}
 """Attributes of a store whose creation was interrupted: nothing is in it yet."""
-
-
-class StoreFull(OSError):
-    """The disk of a store is full; what is whole stays."""
-
-
-def is_full(error: BaseException) -> bool:
-    """Whether an error says that there is no room left."""
-    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
-
-
-@contextmanager
-def _told_when_full() -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if not is_full(error):
-            raise
-        raise StoreFull(
-            error.errno,
-            "The disk of the store is full. What is whole stays: make room and repeat the same "
-            "call",
-        ) from None
+COPY = "map.json"
+"""A second copy of the attributes, in the folder of what is not data."""
+NOTES = ("failures", "summary")
+"""Attributes that tell how the last call ended; they are not there while a map is computed."""
 
 
 def _zarr() -> Any:
@@ -57,76 +37,101 @@ def _zarr() -> Any:
 class MapStore:
     """The arrays of a map, on disk or in memory."""
 
-    def __init__(self, group: Any, chunks: Chunks):
+    def __init__(self, group: Any, chunks: Chunks, records: Records | None):
         self.group, self.chunks = group, chunks
+        self.records = records
+        """None for a store in memory, which no other call will see."""
         self.arrays: dict[str, Any] = {}
 
     def _array(self, name: str) -> Any:
-        if name not in self.arrays:  # opening one reads its metadata anew
+        if name not in self.arrays:
             self.arrays[name] = self.group[name]
         return self.arrays[name]
 
-    def write(self, block: Block, values: dict[str, np.ndarray]) -> None:
-        """Write the results of a block, `lane_status` last. Raises `StoreFull`."""
-        with _told_when_full():
+    def write(self, block: Block, values: dict[str, np.ndarray], rigs: str) -> None:
+        """Write the results of a block, then `lane_status`, then its record.
+
+        `rigs` stands for the numbers of its rigs. Raises `StoreFull`, `StoreReadOnly`.
+        """
+        with disk_errors_told():
             for name, value in values.items():
                 if name != "lane_status":
                     self._array(name)[block.region] = value
             self._array("lane_status")[block.region] = values["lane_status"]
+            if self.records is not None:
+                self.records.write(block.number, rigs)
 
     def mark_failed(self, block: Block) -> None:
-        """Say that a block was tried and failed. Raises `StoreFull`."""
-        with _told_when_full():
+        """Say that a block was tried and failed. Raises `StoreFull`, `StoreReadOnly`."""
+        with disk_errors_told():
             self._array("lane_status")[block.region] = np.full(block.shape, FAILED, np.int8)
 
-    def not_whole(self) -> list[int]:
-        """Return the numbers of the blocks that are missing or failed."""
-        return [k for k in range(self.chunks.number) if self._first_status(k) in (FAILED, MISSING)]
+    def begin(self) -> None:
+        """Take back how the last call ended, since there is something to compute again.
 
-    def _first_status(self, number: int) -> int:
-        first = tuple(part.start for part in self.chunks.at(number).region)
-        return int(np.asarray(self._array("lane_status")[first]))
+        This is written in any case: what cannot be written is found out before computing. Raises
+        `StoreFull`, `StoreReadOnly`.
+        """
+        with disk_errors_told():
+            own = {n: value for n, value in dict(self.group.attrs).items() if n not in NOTES}
+            self.group.attrs.put(own)
 
     def note(self, **attributes: Any) -> None:
         """Add to the attributes of the dataset, where they are not there yet.
 
-        Raises `StoreFull`.
+        Raises `StoreFull`, `StoreReadOnly`.
         """
         found = dict(self.group.attrs)
         if found | attributes != found:
-            with _told_when_full():
-                self.group.attrs.update(attributes)
+            with disk_errors_told():
+                self.group.attrs.put(found | attributes)
+
+    def change_settings(self, settings: str) -> None:
+        """Write other settings. Raises `StoreFull`, `StoreReadOnly`."""
+        if self.records is not None and settings != self.group.attrs["vibrojax_map"]:
+            file = self.records.place / OWN / COPY
+            copy = (attributes_in(file) or {}) | {"vibrojax_map": settings}
+            with disk_errors_told():
+                write_file(file, json.dumps(copy).encode())
+            self.note(vibrojax_map=settings)
 
 
-def memory_store() -> Any:
-    """Return a store that lives in memory."""
-    return _zarr().storage.MemoryStore()
+def memory_store(files: dict[str, Any] | None = None) -> Any:
+    """Return a store that lives in memory; its files by name appear in `files`."""
+    return _zarr().storage.MemoryStore(files)
 
 
-def create(store: Any, template: Template, chunks: Chunks, attributes: dict[str, Any]) -> MapStore:
+def create(store: Any, spec: MapSpec, attributes: dict[str, Any]) -> MapStore:
     """Create all arrays of a map; the attributes are written last and make it a map.
 
-    Raises `StoreFull`.
+    Raises `StoreFull`, `StoreReadOnly`.
     """
-    with _told_when_full():
-        return _create(store, template, chunks, attributes)
+    with disk_errors_told():
+        return _create(store, spec, attributes)
 
 
-def _create(store: Any, template: Template, chunks: Chunks, attributes: dict[str, Any]) -> MapStore:
-    zarr = _zarr()
-    if isinstance(store, str):
-        _clear(Path(store))
-    group = zarr.create_group(store, overwrite=True, attributes=dict(CREATING))
+def _create(store: Any, spec: MapSpec, attributes: dict[str, Any]) -> MapStore:
+    zarr, template, chunks = _zarr(), spec.template, spec.chunks
+    place = Path(store) if isinstance(store, str) else None
+    if place is not None:
+        _clear(place)
+    group = zarr.create_group(store, attributes=dict(CREATING))
+    group.create_group(OWN)
+    codecs = zarr.codecs
+    checked = (codecs.ZstdCodec(level=0, checksum=False), codecs.Crc32cCodec())
     for name, (dims, values, described) in template.coordinates.items():
         values = np.asarray(values)
         if values.dtype.kind == "U":
             values = values.astype(object)  # which Zarr keeps as texts of any length
-        kind = str if values.dtype.kind == "O" else values.dtype
         array = group.create_array(
-            name, shape=values.shape, dtype=kind, dimension_names=dims or None
+            name,
+            shape=values.shape,
+            dtype=str if values.dtype.kind == "O" else values.dtype,
+            compressors=checked,
+            dimension_names=dims or None,
+            attributes=described,
         )
         array[...] = values
-        array.attrs.update(described)
     for name, one in template.variables.items():
         inner = one.shape[len(template.outer) :]
         group.create_array(
@@ -134,27 +139,46 @@ def _create(store: Any, template: Template, chunks: Chunks, attributes: dict[str
             shape=one.shape,
             dtype=one.dtype,
             chunks=(*chunks.block, *inner) if one.shape else "auto",
+            compressors=checked,
             fill_value=MISSING if name == "lane_status" else one.nothing,
             dimension_names=one.dims or None,
             attributes=one.attributes,
         )
+    with warnings.catch_warnings():
+        # Consolidated metadata are not in Zarr's standard yet, but xarray asks for them.
+        warnings.simplefilter("ignore")
+        group = zarr.consolidate_metadata(group.store)
+    if place is None:
+        group.attrs.put(attributes)
+        return MapStore(group, chunks, None)
+    write_file(place / OWN / COPY, json.dumps(attributes).encode())
     group.attrs.put(attributes)
-    return MapStore(group, chunks)
+    return MapStore(group, chunks, Records(place, spec))
 
 
 def _clear(place: Path) -> None:
     """Remove what was being created when it was interrupted, what says so last."""
-    for inside in place.iterdir() if place.is_dir() else ():
-        if inside.is_dir():
-            shutil.rmtree(inside)
-        elif inside.name != "zarr.json":
-            inside.unlink()
+    for inside in place.iterdir():
+        if inside.name != OWN and inside.name != "zarr.json":
+            remove(inside)
+    for inside in (place / OWN).iterdir():
+        if inside.name != "lock":
+            remove(inside)
+    remove(place / "zarr.json")
 
 
-def attributes_of(path: str | os.PathLike[str]) -> dict[str, Any] | None:
+def files_of(spec: MapSpec, attributes: dict[str, Any]) -> dict[str, bytes]:
+    """Return all files of a map when it is created, by name."""
+    files: dict[str, Any] = {}
+    create(memory_store(files), spec, attributes)
+    return {name: buffer.to_bytes() for name, buffer in files.items()}
+
+
+def map_at(path: str | os.PathLike[str]) -> dict[str, Any] | None:
     """Return the attributes of the map at a path; None where there is nothing yet.
 
-    Raises `ValueError` where there is something else.
+    Those of the copy where the store's own cannot be read. Raises `ValueError` where there is
+    something else.
     """
     place = Path(path)
     if not place.exists():
@@ -164,61 +188,50 @@ def attributes_of(path: str | os.PathLike[str]) -> dict[str, Any] | None:
     wrong = f"store: {str(place)!r} is there already and is not a store of a map"
     if not place.is_dir():
         raise ValueError(f"{wrong}, but a file. Give another path.")
+    copy = attributes_in(place / OWN / COPY)
     # The first file of all may have been interrupted before Zarr renamed it.
-    if all(p.match("zarr.*.partial") for p in place.iterdir()):
+    if copy is None and all(p.match("zarr.*.partial") or p.name == OWN for p in place.iterdir()):
         return None
-    if not (place / "zarr.json").is_file():
+    own = attributes_in(place / "zarr.json", "attributes")
+    found = own if own is not None and "vibrojax_map" in own else copy
+    if found is None or "vibrojax_map" not in found:
         raise ValueError(f"{wrong}. Give another path, or remove it.")
+    return None if own == CREATING else found
+
+
+def attributes_in(file: Path, part: str | None = None) -> dict[str, Any] | None:
+    """Return attributes that a file holds; None where it cannot be read."""
     try:
-        found = dict(_zarr().open_group(str(place), mode="r").attrs)
-    except Exception as error:
-        raise ValueError(f"{wrong}: it cannot be read ({error}).") from None
-    if "vibrojax_map" not in found:
-        raise ValueError(f"{wrong}. Give another path, or remove it.")
-    return None if found == CREATING else found
+        found = json.loads(file.read_bytes())
+        found = found if part is None else found[part]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
 
 
-def open_map(store: Any, chunks: Chunks) -> MapStore:
+def block_of(place: Path, chunks: Chunks) -> tuple[int, ...]:
+    """Return the lengths of the blocks of a store, as most of the places say that hold them."""
+    found: Counter[tuple[int, ...]] = Counter()
+    described = attributes_in(place / "lane_status" / "zarr.json", "chunk_grid") or {}
+    for one in (
+        attributes_in(place / "zarr.json", "attributes"),
+        attributes_in(place / OWN / COPY),
+        {"block": described.get("configuration")},
+    ):
+        block = (one or {}).get("block")
+        try:
+            block = block["chunk_shape"] if isinstance(block, dict) else json.loads(str(block))
+            block = tuple(block)
+        except (ValueError, KeyError, TypeError):
+            continue
+        if len(block) == len(chunks.shape) and all(
+            type(b) is int and 1 <= b <= n for b, n in zip(block, chunks.shape, strict=True)
+        ):
+            found[block] += 1
+    return found.most_common(1)[0][0] if found else chunks.block
+
+
+def open_map(store: str, spec: MapSpec) -> MapStore:
     """Open a map that exists, to write into it."""
-    if isinstance(store, str):  # readers would be warned of what was interrupted
-        for left in Path(store).glob("zarr.*.partial"):
-            left.unlink(missing_ok=True)
-    return MapStore(_zarr().open_group(store, mode="r+"), chunks)
-
-
-def check_same(path: Any, found: dict[str, Any], settings: dict[str, Any]) -> None:
-    """Refuse, with a `ValueError` that names the difference, a store made with other settings."""
-    made = json.loads(found["vibrojax_map"])
-    if made.get("format") != settings["format"]:
-        raise ValueError(
-            f"store: {str(path)!r} has format {made.get('format')} (vibrojax "
-            f"{made.get('vibrojax_version')}), this version writes format {settings['format']}. "
-            "Give another path, or read it with xarray.open_zarr."
-        )
-    for name, value in settings.items():
-        if made.get(name) != value:
-            raise ValueError(
-                f"store: {str(path)!r} was made with other settings. {name.replace('_', ' ')}: "
-                f"{_difference(made.get(name), value)}. Give another path, or the same settings."
-            )
-
-
-def _difference(made: Any, asked: Any) -> str:
-    """Say in what two settings differ, in few words."""
-    if isinstance(made, dict) and isinstance(asked, dict):
-        for key in [*made, *(k for k in asked if k not in made)]:
-            if made.get(key) != asked.get(key):
-                inside = _difference(made.get(key), asked.get(key))
-                return inside if inside.startswith(f"{key}: ") else f"{key}: {inside}"
-        return "the order of its parts"
-    if isinstance(made, list) and isinstance(asked, list) and len(made) != len(asked):
-        return f"{len(made)} values there, {len(asked)} now"
-    if isinstance(made, list) and isinstance(asked, list):
-        k = next(i for i, (a, b) in enumerate(zip(made, asked, strict=True)) if a != b)
-        return f"value {k + 1} is {made[k]!r} there, {asked[k]!r} now"
-    return f"{_short(made)} there, {_short(asked)} now"
-
-
-def _short(value: Any) -> str:
-    text = "nothing" if value is None else repr(value)
-    return text if len(text) < 400 else f"{text[:400]}..."
+    group = _zarr().open_group(store, mode="r+")
+    return MapStore(group, spec.chunks, Records(Path(store), spec))

@@ -88,7 +88,7 @@ def template_of(
         for name in response.variables:
             attributes = described(name)
             if name == "status":
-                attributes |= _flags(response.lane_words)
+                attributes |= _flags(response.point_words)
             if name == "regime":
                 attributes |= _flags(tuple(kind.name for kind in Regime))
             more = [response.behind[name]] if name in response.behind else []

@@ -1,5 +1,6 @@
 """One block of a map, from its number to the values of all variables."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ from vibrojax.studies.maps.dimensions import Arguments
 from vibrojax.studies.maps.gradients import Slopes, curve_slopes, fold_slopes, measure_slopes
 from vibrojax.studies.maps.measures import Measure, measure_lanes
 from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid
-from vibrojax.studies.maps.rig_maker import RigMaker
+from vibrojax.studies.maps.rig_maker import TOGETHER, RigMaker
 from vibrojax.studies.maps.template import Template
 
 GRADIENT_TOLERANCE = 1e-6
@@ -31,6 +32,17 @@ class MapSpec(NamedTuple):
     gradients: tuple[str, ...]
     chunks: Chunks
     template: Template
+    identity: str = ""
+    """Stands for all of this in the records of its chunks."""
+
+    def where(self, number: int) -> str:
+        """Say where a block lies along the axes."""
+        return ", ".join(
+            f"{d.name}[{part.start}:{part.stop}]"
+            for d, part in zip(
+                self.arguments.dimensions, self.chunks.at(number).region, strict=True
+            )
+        )
 
 
 class MapWork:
@@ -39,6 +51,9 @@ class MapWork:
     def __init__(self, spec: MapSpec):
         self.spec = spec
         self.maker = RigMaker(spec.make, spec.arguments)
+        lanes = TOGETHER if self.maker.traced else 1
+        self.together = max(1, lanes // spec.chunks.lanes_per_block)
+        self.some_rigs = functools.lru_cache(16)(self._some_rigs)
 
     def compute(self, number: int) -> tuple[Block, dict[str, np.ndarray]]:
         """Return a block and the values of all variables in it."""
@@ -53,6 +68,17 @@ class MapWork:
             own = values[name][inside].reshape((*block.shape, *inner))
             found[name] = own.astype(described.dtype)
         return block, found
+
+    def rigs(self, number: int) -> str:
+        """Return what stands for the rigs of a block."""
+        return self.some_rigs(number // self.together)[number % self.together]
+
+    def _some_rigs(self, part: int) -> list[str]:
+        """Return the same for blocks that are told apart together."""
+        chunks = self.spec.chunks
+        first = part * self.together
+        numbers = range(first, min(first + self.together, chunks.number))
+        return list(self.maker.digests(map(chunks.at, numbers)))
 
     def _values(self, block: Block, computed: Computed) -> dict[str, np.ndarray]:
         spec = self.spec

@@ -1,0 +1,130 @@
+"""Axes of a result: plain ones, and numbers that go along one axis together.
+
+A result keeps them by name: the values of a plain axis as an array, those of numbers that go
+together (`vj.zipped`) as one structured array, whose fields are the numbers by name.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vibrojax._checks import nearest
+from vibrojax.results.variables import axis_description, named_value
+
+Array = np.ndarray
+
+
+def together(values: Mapping[str, Array]) -> Array:
+    """Return the values of numbers that go along one axis as one structured array."""
+    length = len(next(iter(values.values())))
+    found = np.empty(length, [(name, given.dtype) for name, given in values.items()])
+    for name, given in values.items():
+        found[name] = given
+    return found
+
+
+def numbers_along(name: str, values: Array) -> dict[str, Array]:
+    """Return what goes along an axis, by name: the axis itself, or the numbers of a group."""
+    fields = values.dtype.names
+    return {name: values} if fields is None else {field: values[field] for field in fields}
+
+
+def coordinates_of(axes: Mapping[str, Array]) -> dict[str, Any]:
+    """Return the coordinates of axes for a dataset, with units and long names."""
+    return {
+        number: ((name,), own, axis_description(number) if own.dtype.kind in "fiu" else {})
+        for name, values in axes.items()
+        for number, own in numbers_along(name, np.asarray(values)).items()
+    }
+
+
+def example(axes: Mapping[str, Array], name: str) -> str:
+    """Return the first value of an axis as a selection, `gap=0.0004`."""
+    number, values = next(iter(numbers_along(name, np.asarray(axes[name])).items()))
+    first = values[0].item()
+    return f"{number}={first:g}" if isinstance(first, int | float) else f"{number}={first!r}"
+
+
+def pick(
+    axes: Mapping[str, Array], selection: Mapping[str, Any], *, others: tuple[str, ...] = ()
+) -> tuple[tuple[Any, ...], dict[str, Any], list[str]]:
+    """Return the index of a selection (nearest values), what was chosen, and the axes left.
+
+    Numbers that go together are picked by one of them, or by the name of their axis, which stands
+    for the first. `others` are names that may be selected too, elsewhere. Raises `ValueError` for
+    an unknown axis, a value that is none of it, or two numbers of one axis.
+    """
+    within = {name: numbers_along(name, np.asarray(values)) for name, values in axes.items()}
+    axis_of = {name: name for name in within}
+    axis_of |= {number: name for name, along in within.items() for number in along}
+    wanted: dict[str, str] = {}
+    for number in selection:
+        if number not in axis_of:
+            raise ValueError(f"Unknown axis {number!r}. {nearest(number, [*axis_of, *others])}")
+        name = axis_of[number]
+        if name in wanted:
+            raise ValueError(
+                f"{wanted[name]} and {number} go together along {name}: select by one of them."
+            )
+        wanted[name] = number
+    index: list[Any] = []
+    chosen: dict[str, Any] = {}
+    for name, along in within.items():
+        if name not in wanted:
+            index.append(slice(None))
+            continue
+        number = wanted[name]
+        at = _nearest_place(number, along.get(number, next(iter(along.values()))), selection)
+        index.append(at)
+        chosen |= {n: values[at].item() for n, values in along.items()}
+    return tuple(index), chosen, [name for name in within if name not in wanted]
+
+
+def _nearest_place(name: str, values: Array, selection: Mapping[str, Any]) -> int:
+    wanted = selection[name]
+    if values.dtype.kind not in "fiu":
+        known = values.tolist()
+        if wanted not in known:
+            listed = ", ".join(map(repr, known))
+            raise ValueError(f"{name} must be one of {listed}, got {wanted!r}.")
+        return known.index(wanted)
+    if np.ndim(wanted) or not isinstance(wanted, int | float | np.generic | np.ndarray):
+        raise ValueError(f"{name} must be one number, got {wanted!r}.")
+    if not np.isfinite(wanted):
+        raise ValueError(f"{name} must be finite, got {wanted!r}.")
+    return int(np.argmin(np.abs(values - wanted)))
+
+
+class AxisScale(NamedTuple):
+    """How an axis is drawn: to scale by its numbers, or one value after the other."""
+
+    places: Array
+    """Where the values lie."""
+    labels: list[str]
+    """What each is called, with everything that goes along with it."""
+    number: str
+    """Name of the number that makes the scale, or of the axis where none does."""
+    partners: str
+    """What changes along with it, for a label of the axis."""
+    is_scale: bool
+    """Whether the places are values of the number, not merely counted."""
+
+
+def axis_scale(axes: Mapping[str, Array], name: str) -> AxisScale:
+    """Return how an axis is drawn: by its first number whose values all differ."""
+    values = np.asarray(axes[name])
+    along = numbers_along(name, values)
+    labels = [
+        ", ".join(named_value(n, own[k].item()) for n, own in along.items())
+        for k in range(len(values))
+    ]
+    numeric = {n: v for n, v in along.items() if v.dtype.kind in "fiu"}
+    number = next((n for n, v in numeric.items() if len(np.unique(v)) == len(v)), None)
+    if len(along) == 1 and numeric:  # a plain axis is its own scale
+        number = name
+    others = [n.replace("_", " ") for n in along if n not in (number, name)]
+    partners = f", with {' and '.join(others)}" if others and number else ""
+    if number is None:
+        return AxisScale(np.arange(len(values), dtype=float), labels, name, partners, False)
+    return AxisScale(np.asarray(along[number], float), labels, number, partners, True)
