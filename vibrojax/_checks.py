@@ -165,6 +165,12 @@ def check_count(name: str, value: Any, least: int = 1, most: int = 10**9) -> Non
         _refuse(name, value, f"a whole number of at most {most:,}", "")
 
 
+def check_index(name: str, value: int, size: int, first: int = 0) -> None:
+    """Raise `ValueError` unless the value is the number of one of so many, counted from `first`."""
+    if not first <= value < first + size:
+        _refuse(name, value, f"a whole number from {first} to {first + size - 1}", "")
+
+
 def check_seed(seed: Any) -> None:
     """Raise `ValueError` unless random numbers can be drawn from the seed."""
     check_count("seed", seed, least=0, most=2**63 - 1)

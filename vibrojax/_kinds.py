@@ -235,7 +235,8 @@ def _list_of(item: Kind | None) -> Kind:
         if item is TEXT and not isinstance(value, Sequence):
             return False
         if item is NUMBER:  # at once: there may be a million
-            return is_list(value) and _are_numbers(value)
+            flat = is_list(value) and getattr(value, "ndim", 1) == 1
+            return flat and not any(map(is_list, value[:1])) and _are_numbers(value)
         return is_list(value) and all(kind.accepts(one) for _, one, kind in parts(value))
 
     inside = f" of {item.plural}" if item is not None and item.plural else ""

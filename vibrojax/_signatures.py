@@ -40,13 +40,13 @@ def validated(function: Any = None, *, traceable: bool = False) -> Any:
     """Make a function, or the constructor of a class, refuse what its annotations do not allow.
 
     It raises `ValueError` then, with a sentence that names the argument, what it has to be and what
-    it was. Values that JAX is tracing are for constructors, and for functions that are `traceable`.
+    it was. Values that JAX is tracing are for modules, and for functions that are `traceable`.
     """
     if function is None:
         return functools.partial(validated, traceable=traceable)
     if isinstance(function, type):
         started: Any = vars(function)["__init__"]
-        function.__init__ = _checking(started, function, traceable=True)
+        function.__init__ = _checking(started, function, issubclass(function, eqx.Module))
         return function
     return _checking(function, None, traceable)
 

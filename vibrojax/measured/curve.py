@@ -158,6 +158,8 @@ class MeasuredCurve:
         if not np.isin(self.direction, list(DIRECTIONS)).all():
             bad = self.direction[~np.isin(self.direction, list(DIRECTIONS))][0]
             raise ValueError(f"direction must be 1, -1 or 0 (not known), got {bad}.")
+        if self.lines.min() < 1:
+            raise ValueError(f"lines must be numbers of at least 1, got {self.lines.min()}.")
         self._check("frequency", self.frequency > 0, "above 0")
         for name in ("amplitude", "contact_force"):
             self._check_channel(name, size)

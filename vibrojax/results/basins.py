@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrojax._checks import check_index
 from vibrojax._signatures import validated
 from vibrojax.results.axes import coordinates_of, example, numbers_along, pick
 from vibrojax.results.saving import save_dataset
@@ -154,8 +155,15 @@ class Basins(eqx.Module):
     def name_of(self, attractor: int, index: tuple[int, ...] = ()) -> str:
         """Return what an attractor is, in words; `index` is the place along the other axes.
 
-        Attractors that are alike in this are told apart by their mean displacements.
+        Attractors, from 1, that are alike in this are told apart by their mean displacements.
+        Raises `ValueError` for one that is not there.
         """
+        *over, found = self.period.shape
+        if len(index) != len(over):
+            raise ValueError(f"index must hold {len(over)} whole numbers, got {index!r}.")
+        for place, size in zip(index, over, strict=True):
+            check_index("index", place, size)
+        check_index("attractor", attractor, found, first=1)
 
         def words(k: int) -> str:
             period = int(self.period[(*index, k)])

@@ -1,13 +1,16 @@
 """The answer of an identification: estimates, what is known of them, and how they fit."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import ArrayLike
 
+from vibrojax._checks import check_index
 from vibrojax._described import recipe
 from vibrojax._files import path_of
 from vibrojax._signatures import validated
@@ -124,9 +127,9 @@ class Identification:
             direction: `forward` or `backward`; None: all.
             measurement: from 0, in the order given.
 
-        Raises `ValueError` for another direction, `IndexError` for a measurement that is
-        not there.
+        Raises `ValueError` for another direction, or a measurement that is not there.
         """
+        check_index("measurement", measurement, len(self.measured))
         values = self.predictions[measurement].residual
         if direction is None:
             return values
@@ -140,11 +143,12 @@ class Identification:
     def system(self, measurement: int = 0) -> Any:
         """Return the fitted rig.
 
-        With the arguments that hold for one `measurement` (from 0). Raises `IndexError`
-        when there is none.
+        With the arguments that hold for one `measurement` (from 0). Raises `ValueError` when there
+        is none.
         """
         from vibrojax.studies.identification.setting_up import own_name
 
+        check_index("measurement", measurement, len(self.measured))
         asked, measured = self.asked, self.measured[measurement]
         arguments = dict.fromkeys(asked.arguments.values())
         fitted = {n: self.estimate[own_name(asked, n, measured, measurement)] for n in arguments}
@@ -154,12 +158,15 @@ class Identification:
     def branch(self, measurement: int = 0) -> "Branch":
         """Follow the fitted curve by `continue_response`: exact, with its stability.
 
-        `measurement` counts from 0, in the order given. Raises `IndexError` when there is
-        none, `AttributeError` for a history, which has no curve.
+        `measurement` counts from 0, in the order given. Raises `ValueError` when there is none, or
+        it is a history, which has no curve.
         """
         from vibrojax.studies.continue_response import continue_response
 
+        check_index("measurement", measurement, len(self.measured))
         measured: Any = self.measured[measurement]
+        if not hasattr(measured, "frequency_name"):
+            raise ValueError(f"measurement must be that of a curve, got {measurement}: a history.")
         frequency = measured.frequency
         along: Any = {measured.frequency_name: (0.98 * frequency.min(), 1.02 * frequency.max())}
         branch: Any = continue_response(self.system(measurement), **along)
@@ -170,7 +177,7 @@ class Identification:
         """Profile likelihood of one number: fixed at values around its estimate, others refitted.
 
         `points` values over `reach` standard deviations each way. Raises `ValueError` for a name
-        that was not fitted.
+        that was not fitted, fewer than 5 points, or a reach not above 0.
         """
         from vibrojax.studies.identification.profiling import profile
 
@@ -191,7 +198,7 @@ class Identification:
         return sample(self, draws, seed=seed)
 
     @validated
-    def what_next(self, name: str, **changes: Any) -> "WhatNext":
+    def what_next(self, name: str, **changes: ArrayLike | Sequence[float]) -> "WhatNext":
         """Say which further points would sharpen one number most.
 
         `changes` are other rigs that could be measured: arguments of the function with lists of
@@ -205,11 +212,11 @@ class Identification:
     def plot(self, measurement: int = 0) -> "Figure":
         """Draw the fitted curve over the measured points, the residuals and the estimates.
 
-        `measurement` counts from 0, in the order given. Raises `IndexError` when there is
-        none.
+        `measurement` counts from 0, in the order given. Raises `ValueError` when there is none.
         """
         from vibrojax.results.identification_plot import plot_identification
 
+        check_index("measurement", measurement, len(self.measured))
         return plot_identification(self, measurement)
 
     def to_xarray(self) -> "xarray.Dataset":

@@ -13,7 +13,7 @@ from vibrojax._signatures import validated
 from vibrojax._warn import warn
 from vibrojax.results.frequency_response import FrequencyResponse
 from vibrojax.stepping.choice import choose_method
-from vibrojax.stepping.method import AbstractMethod
+from vibrojax.stepping.method import AbstractMethod, check_settings
 from vibrojax.studies.axes import Lanes, lanes_of
 from vibrojax.studies.maps.dimensions import Zipped
 from vibrojax.studies.swept_lanes import SweepPlan, Swept, numbers_of_jumps, rigs_of, sweep_rigs
@@ -113,11 +113,7 @@ def sweep_plan(
 
     Raises `ValueError` as `frequency_sweep` does.
     """
-    check_choice("direction", direction, tuple(DIRECTIONS))
-    check_count("max_period", max_period)
-    check_count("max_periods", max_periods, least=2 * max_period + 1)
-    if refine_jumps is not None:
-        check_range("refine_jumps", refine_jumps, 1e-9, 1.0, allowed="from 1e-9 to 1, or None")
+    check_sweep(direction, tolerance, steps_per_period, max_period, max_periods, refine_jumps)
     check_drive(sample)
     return SweepPlan(
         axis=axis,
@@ -129,6 +125,23 @@ def sweep_plan(
         max_periods=max_periods,
         refine_jumps=refine_jumps,
     )
+
+
+def check_sweep(
+    direction: str,
+    tolerance: float,
+    steps_per_period: int | None,
+    max_period: int,
+    max_periods: int,
+    refine_jumps: float | None,
+) -> None:
+    """Refuse, with a `ValueError`, settings of a sweep that no system could be swept with."""
+    check_choice("direction", direction, tuple(DIRECTIONS))
+    check_count("max_period", max_period)
+    check_count("max_periods", max_periods, least=2 * max_period + 1)
+    if refine_jumps is not None:
+        check_range("refine_jumps", refine_jumps, 1e-9, 1.0, allowed="from 1e-9 to 1, or None")
+    check_settings(tolerance, steps_per_period)
 
 
 def frequency_axis(

@@ -15,7 +15,7 @@ from vibrojax._described import in_short, recipe
 from vibrojax._signatures import validated
 from vibrojax.results.regimes import Regimes
 from vibrojax.stepping.choice import choose_method
-from vibrojax.stepping.method import AbstractMethod
+from vibrojax.stepping.method import AbstractMethod, check_settings
 from vibrojax.studies.axes import Lanes, lanes_of
 from vibrojax.studies.frequency_sweep import check_drive, frequency_axis
 from vibrojax.studies.maps.dimensions import Zipped
@@ -137,14 +137,20 @@ def regime_method(
     Raises `ValueError` for a system that nothing drives, one without a natural frequency where a
     ratio to it is asked for, or a method that cannot take it.
     """
-    check_range(
-        "step_tolerance", step_tolerance, 0.0, 0.1, include_low=False, allowed="above 0, up to 0.1"
-    )
+    check_steps(step_tolerance, steps_per_period)
     check_drive(sample)
     equations = eqx.filter_eval_shape(as_arrays(sample).equations)
     if axis == "frequency_ratio" and not isinstance(equations, LinearEquations):
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
     return choose_method(sample, method, step_tolerance, steps_per_period)
+
+
+def check_steps(step_tolerance: float, steps_per_period: int | None) -> None:
+    """Refuse, with a `ValueError`, steps that no method can take."""
+    check_range(
+        "step_tolerance", step_tolerance, 0.0, 0.1, include_low=False, allowed="above 0, up to 0.1"
+    )
+    check_settings(step_tolerance, steps_per_period)
 
 
 def frequency_unit(strober: Strober, axis: str) -> Float[Array, " rigs"]:

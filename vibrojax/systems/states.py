@@ -47,7 +47,7 @@ def as_state(name: str, given: Any, equations: Any) -> Float[Array, " states"]:
         else:
             state = jnp.stack(parts) if several else parts[0]
             told = f"an array of shape {state.shape}"
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         state = None
     if state is None or state.shape not in ((size,), (2 * n,)):
         memories = f", and the memories of the stops, shape ({size - 2 * n},)" * (size > 2 * n)
@@ -66,7 +66,7 @@ def check_coordinates(name: str, given: Any, count: int, meaning: str) -> Float[
     """Return an array of so many numbers. Raises `ValueError` for anything else."""
     try:
         array = jnp.asarray(given, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be {meaning}, shape ({count},), got {given!r}.") from None
     if array.shape != (count,):
         raise ValueError(

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax._checks import check_names
+from vibrojax._described import in_short
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.results.identification import Identification
 from vibrojax.results.what_next import Candidate, WhatNext, points_to_halve
@@ -55,9 +56,11 @@ def what_next(fit: Identification, name: str, **changes: Any) -> WhatNext:
 
 def _check(fit: Identification, changes: dict[str, Any]) -> None:
     check_names(fit.asked.make, changes)
-    for n in changes:
+    for n, values in changes.items():
         if n in fit.asked.arguments.values():
             raise ValueError(f"{n} is what is fitted: it cannot be chosen for a measurement.")
+        if np.ndim(values) > 1:
+            raise ValueError(f"{n} must be a number or a list of numbers, got {in_short(values)}.")
 
 
 def _noise(measured: MeasuredCurve) -> np.ndarray:

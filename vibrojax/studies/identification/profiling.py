@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import stats
 
-from vibrojax._checks import check_count, nearest
+from vibrojax._checks import check_count, check_positive, nearest
 from vibrojax.results.identification import Identification
 from vibrojax.results.profile import Profile
 from vibrojax.studies.identification.least_squares import LevenbergMarquardt
@@ -12,13 +12,14 @@ from vibrojax.studies.identification.least_squares import LevenbergMarquardt
 def index_of(fit: Identification, name: str) -> int:
     """Place of a number among those fitted. Raises `ValueError` for an unknown name."""
     if name not in fit.names:
-        raise ValueError(f"{name!r} was not fitted. {nearest(name, fit.names)}")
+        raise ValueError(f"name {name!r} was not fitted. {nearest(name, fit.names)}")
     return fit.names.index(name)
 
 
 def profile(fit: Identification, name: str, *, points: int, reach: float) -> Profile:
     """See `Identification.profile`."""
     check_count("points", points, least=5)
+    check_positive("reach", reach, "standard deviations")
     held = index_of(fit, name)
     problem, coordinate = fit.problem, fit.problem.coordinates[held]
     low, high = problem.limits

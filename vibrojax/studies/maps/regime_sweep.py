@@ -14,7 +14,7 @@ from vibrojax.studies.frequency_sweep import DIRECTIONS
 from vibrojax.studies.maps.responses import AbstractMapResponse, Computed, Grid, Points
 from vibrojax.studies.maps.rig_maker import RigMaker
 from vibrojax.studies.regime_points import SWEPT, RegimePlan, carried_points, regime_plan
-from vibrojax.studies.regimes import frequency_unit, regime_method
+from vibrojax.studies.regimes import check_steps, frequency_unit, regime_method
 from vibrojax.studies.strobing import Strober
 from vibrojax.systems.base import AbstractSystem, as_arrays
 
@@ -74,9 +74,10 @@ class RegimeSweep(AbstractMapResponse):
     """How motions are stepped; None: as suits the system."""
 
     def __check_init__(self) -> None:
-        """Refuse settings that cannot work; what hangs on the system is checked beside it."""
+        """Refuse settings that cannot work; what depends on the system is checked beside it."""
         check_choice("direction", self.direction, tuple(DIRECTIONS))
         self._plan()
+        check_steps(self.step_tolerance, self.steps_per_period)
 
     def _plan(self) -> RegimePlan:
         return regime_plan(

@@ -7,13 +7,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax._checks import check_choice
 from vibrojax._described import described
 from vibrojax._signatures import validated
 from vibrojax.results.frequency_response import CURVES as SWEPT_CURVES
 from vibrojax.results.status import Status
 from vibrojax.stepping.method import AbstractMethod
-from vibrojax.studies.frequency_sweep import DIRECTIONS, sweep_plan
+from vibrojax.studies.frequency_sweep import DIRECTIONS, check_sweep, sweep_plan
 from vibrojax.studies.maps.rig_maker import RigMaker
 from vibrojax.studies.swept_lanes import before_jumps, numbers_of_jumps, sweep_rigs
 from vibrojax.systems.base import AbstractSystem
@@ -156,8 +155,15 @@ class SettledSweep(AbstractMapResponse):
     """Width to which jumps are refined, as a share of the frequency; None: not at all."""
 
     def __check_init__(self) -> None:
-        """Refuse an unknown direction; the rest is checked beside the system."""
-        check_choice("direction", self.direction, tuple(DIRECTIONS))
+        """Refuse settings that cannot work; what depends on the system is checked beside it."""
+        check_sweep(
+            self.direction,
+            self.tolerance,
+            self.steps_per_period,
+            self.max_period,
+            self.max_periods,
+            self.refine_jumps,
+        )
 
     def _plan(self, sample: AbstractSystem, grid: Grid) -> Any:
         return sweep_plan(
