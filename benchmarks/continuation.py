@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.response.continuation import LONGEST_STEP, Settings, begin
-from vibrojax.response.tracing import free_motion, make_exact, trace_branches
-from vibrojax.studies.axes import lanes_of
-from vibrojax.studies.continuation_paths import frequency_paths
+from vibrojax.branches.continuation import LONGEST_STEP, Settings, begin
+from vibrojax.branches.lane_paths import frequency_paths
+from vibrojax.branches.tracing import free_motion, make_exact, trace_branches
+from vibrojax.ensemble.lanes import lanes_of
 
 BOUNDS = (0.85, 1.31)
 EXACT_FOLDS = (1.226735776, 1.096506842)

@@ -32,10 +32,10 @@ SWEEP = vj.SettledSweep(refine_jumps=None)
 
 def engine() -> float:
     """Seconds of the bare engine for the lanes of AXES, the rigs already built."""
-    from vibrojax.studies.maps.dimensions import arguments_of
-    from vibrojax.studies.maps.responses import Grid
-    from vibrojax.studies.maps.rig_maker import RigMaker
-    from vibrojax.studies.swept_lanes import sweep_rigs
+    from vibrojax.ensemble.arguments import arguments_of
+    from vibrojax.maps.responses import Grid
+    from vibrojax.maps.rig_maker import RigMaker
+    from vibrojax.sweep.swept_lanes import sweep_rigs
 
     maker = RigMaker(vj.default_rig, arguments_of(vj.default_rig, (), AXES))
     rigs = maker.rigs(tuple(np.arange(len(v)) for v in AXES.values()))

@@ -67,10 +67,7 @@ def sentences(paths: list[str]) -> dict[str, str]:
 
 
 def names_by_page() -> dict[str, list[str]]:
-    """Return the paths of the objects that each page of the reference documents, by page.
-
-    A path is `vibrojax.` and a public name; `vibrojax.modes.modes` where a module has the name too.
-    """
+    """Return the paths (`vibrojax.` and a public name) that each page of the reference documents."""
     listed = {}
     for path in sorted((DOCS / "api").glob("*.md")):
         names = re.findall(r"^::: (vibrojax[.\w]+)$", path.read_text(), re.MULTILINE)

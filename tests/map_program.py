@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.studies import swept_lanes
+from vibrojax.sweep import swept_lanes
 
 
 def oscillator(natural, gap=3e-3):

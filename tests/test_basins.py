@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.results.basins import boundary_share, standard_error, wilson_interval
+from vibrojax.regime.basins_result import boundary_share, standard_error, wilson_interval
 
 X, SPEED = np.linspace(-2.0, 1.0, 11), np.linspace(-2.0, 2.0, 11)
 BISTABLE, THREEFOLD, CHAOTIC = (w / (2 * np.pi) for w in (1.3, 0.86, 0.9))

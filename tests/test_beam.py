@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.beam import Cantilever
+from vibrojax.model.beam import Cantilever
 
 NUMBERS = {
     "length": 0.2,

@@ -5,9 +5,9 @@ import pytest
 from unit_oscillator import oscillator
 
 import vibrojax as vj
-from vibrojax.results.bifurcation import PeriodChange
-from vibrojax.studies.axes import lanes_of
-from vibrojax.studies.bifurcation import _course
+from vibrojax.ensemble.lanes import lanes_of
+from vibrojax.regime.bifurcation import _course
+from vibrojax.regime.bifurcation_result import PeriodChange
 
 UNIT = 2 * np.pi
 SETTINGS = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray
 
-from vibrojax import cli
+from vibrojax.cli import command as cli
 
 EXAMPLE = str(Path(__file__).parents[1] / "examples" / "uniform_beam.toml")
 
@@ -60,7 +60,7 @@ def no_sweep(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("a sweep was started")
 
-    monkeypatch.setattr("vibrojax.studies.frequency_sweep.frequency_sweep", refuse)
+    monkeypatch.setattr("vibrojax.sweep.frequency_sweep.frequency_sweep", refuse)
 
 
 def test_sweep_of_the_default_rig(folder, capsys):
@@ -94,7 +94,7 @@ def test_options_come_before_the_file(monkeypatch):
         asked.update(settings)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vibrojax.studies.frequency_sweep.frequency_sweep", remember)
+    monkeypatch.setattr("vibrojax.sweep.frequency_sweep.frequency_sweep", remember)
     Path("rig.toml").write_text(RIG + 'tolerance = 1e-5\ndirection = "both"\n')
     options = ("--frequency-ratio", "1", "2", "3", "--direction", "forward")
     run("sweep", "rig.toml", *options, "--steps-per-period", "99", "--quiet")
@@ -114,7 +114,7 @@ def test_the_default_is_121_points(monkeypatch):
         asked.update(settings)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vibrojax.studies.frequency_sweep.frequency_sweep", remember)
+    monkeypatch.setattr("vibrojax.sweep.frequency_sweep.frequency_sweep", remember)
     run("sweep")
     np.testing.assert_allclose(asked["frequency_ratio"], np.linspace(0.8, 1.4, 121))
 
@@ -123,7 +123,7 @@ def test_interrupt_is_quiet(folder, monkeypatch, capsys):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vibrojax.studies.frequency_sweep.frequency_sweep", interrupt)
+    monkeypatch.setattr("vibrojax.sweep.frequency_sweep.frequency_sweep", interrupt)
     assert run("sweep") == 130
     assert capsys.readouterr() == ("", "\n")
     assert left(folder) == []
@@ -133,7 +133,7 @@ def test_a_failure_while_writing_leaves_nothing(folder, monkeypatch, capsys):
     def fail(*_, **__):
         raise OSError(28, "No space left on device", "sweep.png")
 
-    monkeypatch.setattr("vibrojax.results.plotting.plot_frequency_response", fail)
+    monkeypatch.setattr("vibrojax.plot.style.plot_frequency_response", fail)
     Path("sweep.nc").write_text("older")
     assert run("sweep", "--frequency-ratio", "1.0", "1.3", "7") == 1
     assert capsys.readouterr().err == "vibrojax: No space left on device: sweep.png.\n"
@@ -287,7 +287,7 @@ def test_help_itself_imports_nothing_heavy():
 
 @pytest.mark.slow
 def test_as_a_process(folder):
-    command = [sys.executable, "-m", "vibrojax.cli", "sweep", EXAMPLE]
+    command = [sys.executable, "-m", "vibrojax.cli.command", "sweep", EXAMPLE]
     options = ["--frequency", "14", "21", "5", "--output", "u.nc", "--picture", "u.svg"]
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
     assert "uniform_beam.toml" in done.stdout

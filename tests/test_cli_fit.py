@@ -9,8 +9,8 @@ import pytest
 from test_cli import RIG, run
 
 import vibrojax as vj
-from vibrojax import cli_fit
-from vibrojax.results.identification import Identification
+from vibrojax.cli import fit as cli_fit
+from vibrojax.identification.identification import Identification
 
 DATA = Path(__file__).parent / "data" / "sweeps.json"
 
@@ -63,7 +63,7 @@ def asked(monkeypatch):
         calls.update(make=make, measured=measured, guess=guess, bounds=bounds, **settings)
         return Found()
 
-    monkeypatch.setattr("vibrojax.studies.identify.identify", remember)
+    monkeypatch.setattr("vibrojax.identification.identify.identify", remember)
     return calls
 
 
@@ -249,7 +249,15 @@ def test_help(capsys):
 
 @pytest.mark.slow
 def test_as_a_process(folder):
-    command = [sys.executable, "-m", "vibrojax.cli", "fit", "curve.csv", "--rig", "rig.toml"]
+    command = [
+        sys.executable,
+        "-m",
+        "vibrojax.cli.command",
+        "fit",
+        "curve.csv",
+        "--rig",
+        "rig.toml",
+    ]
     options = ["--guess", "stiffness=3500", "damping=1e-4", "--output", "found"]
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
     assert done.stderr == ""

@@ -8,8 +8,8 @@ import xarray
 from test_cli import RIG, left, run
 
 import vibrojax as vj
-from vibrojax import cli_map
-from vibrojax.rig_file import read_map
+from vibrojax.cli import map as cli_map
+from vibrojax.io.rig_file import read_map
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "map.toml"
 MAP = """
@@ -80,7 +80,7 @@ def asked(monkeypatch):
             raise calls["answer"]
         return calls["answer"]
 
-    monkeypatch.setattr("vibrojax.studies.parameter_map.parameter_map", remember)
+    monkeypatch.setattr("vibrojax.maps.parameter_map.parameter_map", remember)
     return calls
 
 
@@ -204,7 +204,7 @@ def test_what_has_too_many_axes_is_not_drawn(folder, capsys, asked, monkeypatch)
     def refuse(_):
         raise ValueError("3 axes are left over.")
 
-    monkeypatch.setattr("vibrojax.results.map_plot.plot_map", refuse)
+    monkeypatch.setattr("vibrojax.plot.map_plot.plot_map", refuse)
     assert run("map", "--axis", "gap=1e-4:4e-4:4") == 0
     assert "not drawn                 map.png: 3 axes are left over." in capsys.readouterr().out
     assert left(folder) == ["map.toml", "map_summary.png", "rig.toml"]
@@ -392,7 +392,7 @@ def test_a_rig_file_may_carry_a_map(folder):
 
 
 def test_example_names_every_key(asked):
-    from vibrojax.rig_file_keys import MAP_KEYS, SPACED_KEYS
+    from vibrojax.io.rig_file_keys import MAP_KEYS, SPACED_KEYS
 
     text = EXAMPLE.read_text()
     lines = [line.removeprefix("# ") for line in text.split("\n")]

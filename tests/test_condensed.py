@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.response.condensed import (
+from vibrojax.steady.condensed import (
     balance,
     cell_average,
     cell_force,

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vibrojax.contact import DEFAULT_SMOOTHING, Stop, smooth_ramp, smooth_switch
-from vibrojax.contact_laws import AbstractContactLaw, KelvinVoigt
+from vibrojax.model.laws import AbstractContactLaw, KelvinVoigt
+from vibrojax.model.stops import DEFAULT_SMOOTHING, Stop, smooth_ramp, smooth_switch
 
 WIDTH = 0.01
 widths = st.floats(1e-9, 1.0)

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 import vibrojax as vj
-from vibrojax.contact_laws import stored_energy
+from vibrojax.model.laws import stored_energy
 
 RUBBER = vj.StandardLinearSolid(5500.0, 4000.0, 2e-3)
 LAWS = {

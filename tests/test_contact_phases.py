@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 import vibrojax as vj
-from vibrojax.contact_laws import AbstractContactLaw
+from vibrojax.model.laws import AbstractContactLaw
 from vibrojax.stepping.contact_phases import MAX_STOPS, contact_phases, forced_blocks
 
 

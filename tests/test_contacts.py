@@ -19,7 +19,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import vibrojax as vj
-from vibrojax.response import between_samples, exact_pieces
+from vibrojax.history import between_samples, exact_pieces
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "soft_support.json").read_text())
 G = REFERENCE["parameters"]["g"]

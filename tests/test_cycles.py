@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.results.cycles import HYSTERESIS
+from vibrojax.history.cycles import HYSTERESIS
 
 CHIRP = vj.Chirp(2.0, 6.0, 8.0)
 END = 7.95

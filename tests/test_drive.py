@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.drive import BaseMotion, Chirp, Harmonic, NoDrive, PointForce
+from vibrojax.model.drives import BaseMotion, Chirp, Harmonic, NoDrive, PointForce
 
 WAVEFORMS = {
     "harmonic": Harmonic(7.0),

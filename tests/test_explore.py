@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.branches.continuation import Ending
 from vibrojax.explorer import explorer as explorer_module
 from vibrojax.explorer.live_curve import LiveCurve
 from vibrojax.explorer.swept_curve import swept_curve
-from vibrojax.response.continuation import Ending
 
 RANGE = (0.85, 1.31)
 traced = []

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.identification.history_misfit import LOST, HistoryMisfit
 from vibrojax.measured.history import MeasuredHistory
-from vibrojax.studies.identification.history_misfit import LOST, HistoryMisfit
 
 NAMES = ("stiffness", "gap", "damping_ratio")
 TRUE = np.array([5500.0, 0.4e-3, 0.018])

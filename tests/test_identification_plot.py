@@ -3,11 +3,11 @@ import sys
 import numpy as np
 import pytest
 
+from vibrojax.identification.identification import Identification, Prediction
+from vibrojax.identification.profile import Profile
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.history import MeasuredHistory
-from vibrojax.results.identification import Identification, Prediction
-from vibrojax.results.identification_plot import plot_identification, plot_profile, plot_profiles
-from vibrojax.results.profile import Profile
+from vibrojax.plot.identification import plot_identification, plot_profile, plot_profiles
 
 # A curve that leans to the right: up to 1.2, back to 1.1, and on.
 CURVE = np.r_[np.linspace(0.9, 1.2, 31), np.linspace(1.19, 1.1, 10), np.linspace(1.11, 1.3, 20)]

@@ -9,11 +9,11 @@ import optax
 import pytest
 
 import vibrojax as vj
-from vibrojax.studies.identification.coordinates import coordinate_of
-from vibrojax.studies.identification.curve_misfit import CurveMisfit
-from vibrojax.studies.identification.findings import modes_left_out
-from vibrojax.studies.identification.least_squares import LevenbergMarquardt
-from vibrojax.studies.identification.uncertainty import influence, uncertainty
+from vibrojax.identification.coordinates import coordinate_of
+from vibrojax.identification.curve_misfit import CurveMisfit
+from vibrojax.identification.findings import modes_left_out
+from vibrojax.identification.least_squares import LevenbergMarquardt
+from vibrojax.identification.uncertainty import influence, uncertainty
 
 DATA = Path(__file__).parent / "data"
 SWEEPS = json.loads((DATA / "sweeps.json").read_text())["cases"]

@@ -15,9 +15,8 @@ import pytest
 import xarray
 from map_program import make_map
 
-from vibrojax import _interrupts
-from vibrojax._interrupts import in_threads, stoppable
-from vibrojax.studies.maps.work import MapWork
+from vibrojax._tools.interrupts import in_threads, stoppable
+from vibrojax.maps.work import MapWork
 
 TESTS = Path(__file__).parent
 LIMIT = 5.0
@@ -190,7 +189,7 @@ def end_while_compiling(process, number):
 
 @pytest.mark.slow
 def test_a_command_that_compiles_ends(tmp_path):
-    process = program_of(tmp_path, "-m", "vibrojax.cli", "sweep")
+    process = program_of(tmp_path, "-m", "vibrojax.cli.command", "sweep")
     told, took = end_while_compiling(process, signal.SIGTERM)
     assert process.returncode == 128 + signal.SIGTERM
     assert took < LIMIT
@@ -201,7 +200,7 @@ def test_a_command_that_compiles_ends(tmp_path):
 @pytest.mark.slow
 def test_a_map_that_compiles_ends_and_says_what_stays(tmp_path):
     axis = ("--axis", "gap=2e-4:1e-3:4", "--frequency-ratio", "0.9", "1.3", "9")
-    process = program_of(tmp_path, "-m", "vibrojax.cli", "map", *axis)
+    process = program_of(tmp_path, "-m", "vibrojax.cli.command", "map", *axis)
     told, took = end_while_compiling(process, signal.SIGINT)
     assert process.returncode == 128 + signal.SIGINT
     assert took < LIMIT
@@ -234,7 +233,7 @@ def test_a_program_that_runs_a_study_does_not_crash(tmp_path):
 
 SECOND = """
 import signal, threading, time
-from vibrojax._interrupts import end_on_signals, stoppable
+from vibrojax._tools.interrupts import end_on_signals, stoppable
 main = threading.main_thread().ident
 for delay in (0.1, 0.4):
     threading.Timer(delay, signal.pthread_kill, (main, signal.SIGINT)).start()

@@ -7,8 +7,8 @@ import pytest
 from unit_oscillator import oscillator
 
 import vibrojax as vj
-from vibrojax.response import lyapunov
-from vibrojax.response.lyapunov import first_tangent, mean_rate, tangent_growth
+from vibrojax.regime import lyapunov
+from vibrojax.regime.lyapunov import first_tangent, mean_rate, tangent_growth
 
 
 def exponent(angular_frequency, system=None, periods=300):

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import vibrojax as vj
-from vibrojax.studies.maps.chunks import cut, spread_out
-from vibrojax.studies.maps.dimensions import arguments_of
-from vibrojax.studies.maps.rig_maker import RigMaker
+from vibrojax.ensemble.arguments import arguments_of
+from vibrojax.maps.chunks import cut, spread_out
+from vibrojax.maps.rig_maker import RigMaker
 
 
 @settings(max_examples=60, deadline=None)
@@ -146,7 +146,7 @@ def test_every_value_of_every_axis_is_built_before_anything_runs():
 
 def test_a_rig_that_holds_other_numbers_is_another_rig(tmp_path, monkeypatch):
     # Its arrays print alike, and nothing in the call tells them apart.
-    monkeypatch.setattr("vibrojax.studies.parameter_map._run", lambda *_: None)
+    monkeypatch.setattr("vibrojax.maps.parameter_map._run", lambda *_: None)
 
     def call(mass, factor):
         def oscillator(gap):

@@ -476,7 +476,7 @@ def test_an_interrupted_repair_goes_on(store, whole, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("vibrojax.studies.maps.work.MapWork.compute", interrupted)
+        patched.setattr("vibrojax.maps.work.MapWork.compute", interrupted)
         with pytest.warns(UserWarning, match="3 of 3 chunks"), pytest.raises(KeyboardInterrupt):
             small_map(store)
     assert (xarray.open_zarr(store)["lane_status"] == 4).all()  # missing, no longer believed

@@ -14,11 +14,11 @@ import zarr
 from map_program import oscillator
 
 import vibrojax as vj
-from vibrojax.studies.maps.chunks import cut
-from vibrojax.studies.maps.dimensions import arguments_of
-from vibrojax.studies.maps.rig_maker import RigMaker
-from vibrojax.studies.maps.told_apart import identity_of, value_digest
-from vibrojax.studies.maps.work import MapWork
+from vibrojax.ensemble.arguments import arguments_of
+from vibrojax.maps.chunks import cut
+from vibrojax.maps.rig_maker import RigMaker
+from vibrojax.maps.told_apart import identity_of, value_digest
+from vibrojax.maps.work import MapWork
 
 NATURAL = np.linspace(1.0, 2.0, 8)
 GAPS = np.full(8, 3e-3)

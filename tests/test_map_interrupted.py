@@ -23,7 +23,7 @@ import zarr
 from map_program import make_in_fork, make_map, oscillator
 
 import vibrojax as vj
-from vibrojax.studies.maps.store import MapStore
+from vibrojax.maps.store import MapStore
 
 PROGRAM = Path(__file__).with_name("map_program.py")
 LANES = 36

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import xarray
 
-from vibrojax.results.map_axes import read_axis
-from vibrojax.results.map_plot import plot_map
-from vibrojax.results.map_summary import plot_map_summary
+from vibrojax.plot.map_axes import read_axis
+from vibrojax.plot.map_plot import plot_map
+from vibrojax.plot.map_summary import plot_map_summary
 
 GAP = np.array([2e-4, 3e-4, 5e-4, 8e-4])
 TAPER = np.array([0.0, 0.25, 0.5])

@@ -18,14 +18,14 @@ from map_program import make_map
 from test_map_interrupted import assert_same_store, files_of, start, wait_until
 
 import vibrojax as vj
-from vibrojax.studies.maps import lock
-from vibrojax.studies.maps.lock import held
-from vibrojax.studies.maps.work import MapWork
+from vibrojax.maps import lock
+from vibrojax.maps.lock import held
+from vibrojax.maps.work import MapWork
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from vibrojax.studies.maps.lock import held
+from vibrojax.maps.lock import held
 with held(Path(sys.argv[1]), "map"):
     print("held", flush=True)
     time.sleep(60)

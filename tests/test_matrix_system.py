@@ -12,10 +12,10 @@ from scipy.linalg import eigh, expm
 from scipy.optimize import brentq
 
 import vibrojax as vj
+from vibrojax.ensemble.lanes import lanes_of
+from vibrojax.model.systems import as_arrays, equations_of
 from vibrojax.stepping import splitting
 from vibrojax.stepping.contact_phases import contact_phases, forced_blocks
-from vibrojax.studies.axes import lanes_of
-from vibrojax.systems.base import as_arrays, equations_of
 
 STIFFNESS = np.array([[1.0, -1.0], [-1.0, 2.0]])
 DASHPOT = np.array([[0.2, 0.0], [0.0, 0.0]])

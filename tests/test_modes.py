@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from finite_element_beam import FiniteElementBeam
 
-from vibrojax.beam import Cantilever
-from vibrojax.modes import Modes, modes
+from vibrojax.model.beam import Cantilever
+from vibrojax.model.modes import Modes, modes
 
 DATA = Path(__file__).parent / "data"
 REFERENCE = json.loads((DATA / "modes.json").read_text())

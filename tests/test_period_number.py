@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.response.period_number import period_number
+from vibrojax.regime.period_number import period_number
 
 COUNT, LONGEST = 80, 20
 

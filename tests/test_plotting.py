@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.results.frequency_response import CURVES
+from vibrojax.sweep.frequency_response import CURVES
 
 FREQUENCIES = np.linspace(0.8, 1.4, 61)
 JUMPS = 1.0963, 1.2267  # up (backward), down (forward)

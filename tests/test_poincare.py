@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.results.poincare import rate_name
+from vibrojax.history.poincare import rate_name
 
 FREQUENCY = 3.0
 

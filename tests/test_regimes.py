@@ -5,9 +5,9 @@ import pytest
 from unit_oscillator import oscillator
 
 import vibrojax as vj
-from vibrojax.results.regime_kinds import Regime, regime_of
-from vibrojax.studies import observing, strobing
-from vibrojax.studies.observing import Sampling, amplitude_spectrum, sides
+from vibrojax.regime import observing, strobing
+from vibrojax.regime.kinds import Regime, regime_of
+from vibrojax.regime.observing import Sampling, amplitude_spectrum, sides
 
 UNIT = 2 * np.pi
 SETTINGS = {

@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 import vibrojax as vj
+from vibrojax.model.systems import equations_of
 from vibrojax.stepping.resonance import driven_growth, is_unbounded, unbounded_at
-from vibrojax.systems.base import equations_of
 
 DRIVE = vj.PointForce(0.3)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax._files import read_bytes
+from vibrojax._tools.files import read_bytes
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "uniform_beam.toml"
 
@@ -74,7 +74,7 @@ def test_example_has_every_part():
 
 
 def test_example_names_every_key():
-    from vibrojax.rig_file_keys import KEYS, LAWS
+    from vibrojax.io.rig_file_keys import KEYS, LAWS
 
     text = EXAMPLE.read_text()
     laws = {f"law {name}": keys for name, (_, keys) in LAWS.items()}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.response.settling import settle
+from vibrojax.steady.settling import settle
 
 GRADIENTS = json.loads((Path(__file__).parent / "data" / "gradients.json").read_text())
 

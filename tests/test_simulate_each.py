@@ -64,7 +64,7 @@ def test_releases_and_frequencies_are_axes_too(make):
 
 
 def test_new_numbers_do_not_compile_again(make):
-    from vibrojax.studies.simulate_each import _solve_all
+    from vibrojax.history.simulate_each import _solve_all
 
     settings = {"frequency_ratio": 1.1, "periods": 1, "samples_per_period": 48}
     vj.simulate_each(make, gap=[0.2e-3, 0.4e-3], **settings)

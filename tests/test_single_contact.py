@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.response.contact_times import Orbit, follow_events
-from vibrojax.response.orbit_reading import state_in
-from vibrojax.response.single_contact import (
+from vibrojax.model.systems import as_arrays, equations_of
+from vibrojax.steady.contact_times import Orbit, follow_events
+from vibrojax.steady.orbit_reading import state_in
+from vibrojax.steady.single_contact import (
     check_single_stop,
     gap_ratio_and_slope,
     multipliers,
@@ -19,10 +20,9 @@ from vibrojax.response.single_contact import (
     unit_phases,
     unit_tables,
 )
-from vibrojax.response.single_contact_folds import fold_of_single_contact
-from vibrojax.response.single_contact_orbit import course_of, read_single_contact
-from vibrojax.response.single_contact_points import evaluate
-from vibrojax.systems.base import as_arrays, equations_of
+from vibrojax.steady.single_contact_folds import fold_of_single_contact
+from vibrojax.steady.single_contact_orbit import course_of, read_single_contact
+from vibrojax.steady.single_contact_points import evaluate
 
 DATA = Path(__file__).parent / "data"
 PARAMETERS = {

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import periodogram
 
 import vibrojax as vj
-from vibrojax.results.spectrum import folded_share, name_frequency, spectrum_of
+from vibrojax.history.spectrum import folded_share, name_frequency, spectrum_of
 
 RATE = 512.0
 WINDOWS = ("hann", "flattop", "boxcar", "hamming", "blackmanharris")

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 import vibrojax as vj
+from vibrojax.model.systems import as_arrays, equations_of
 from vibrojax.stepping import splitting
-from vibrojax.systems.base import as_arrays, equations_of
 
 
 @pytest.mark.parametrize("zeta", [0.0, 0.1, 1.0, 2.5])

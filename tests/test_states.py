@@ -10,12 +10,12 @@ import pytest
 from scipy.integrate import quad
 
 import vibrojax as vj
-from vibrojax.results.periodic_response import compared
-from vibrojax.studies.basins import states_of
-from vibrojax.studies.bifurcation import _first_state
-from vibrojax.studies.branch_work import _with_distance
-from vibrojax.studies.regimes import start_states
-from vibrojax.systems.states import as_state
+from vibrojax.branches.work import _with_distance
+from vibrojax.model.states import as_state
+from vibrojax.regime.basins import states_of
+from vibrojax.regime.bifurcation import _first_state
+from vibrojax.regime.regimes import start_states
+from vibrojax.steady.periodic_result import compared
 
 UNIT = 2 * np.pi
 FREQUENCY = 0.9275 / UNIT

@@ -8,9 +8,9 @@ import pytest
 import xarray
 
 import vibrojax as vj
+from vibrojax.branches.along import along_of
+from vibrojax.branches.lane_paths import paths_of
 from vibrojax.results.axes import axis_scale, coordinates_of, example, pick, together
-from vibrojax.studies.continuation_axes import along_of
-from vibrojax.studies.continuation_paths import paths_of
 
 TAPERS, GAPS = [0.0, 0.5, 0.8, 0.3], [3e-4, 4e-4, 3e-4, 5e-4]
 GRID = [0.9, 1.0, 1.1]

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vibrojax.results.plotting import COLORS, GREY, LABEL, MARKERS, SMALL
+from vibrojax.plot.style import COLORS, GREY, LABEL, MARKERS, SMALL
 
 matplotlib.use("Agg")
 

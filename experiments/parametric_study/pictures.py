@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from trends import Count
 
 import vibrojax as vj
-from vibrojax.results.plotting import COLORS, LABEL, SMALL
+from vibrojax.plot.style import COLORS, LABEL, SMALL
 
 matplotlib.use("Agg")
 

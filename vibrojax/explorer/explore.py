@@ -7,20 +7,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike
 
-from vibrojax._checks import check_choice, check_names
-from vibrojax._described import in_short
-from vibrojax._kinds import is_list
-from vibrojax._signatures import validated
+from vibrojax._tools.checks import check_choice, check_names
+from vibrojax._tools.described import in_short
+from vibrojax._tools.kinds import is_list
+from vibrojax._tools.signatures import validated
+from vibrojax.branches.along import along_of
+from vibrojax.ensemble.arguments import default_of
 from vibrojax.explorer.explorer import Explorer, Measurement, Slider
 from vibrojax.explorer.live_curve import CurveTracer
+from vibrojax.identification.curve_misfit import sensor_of
+from vibrojax.identification.sensor import Sensor
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.reading import read_measured_curve
-from vibrojax.response.sensor import Sensor
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.choice import is_exact
-from vibrojax.studies.continuation_axes import along_of
-from vibrojax.studies.identification.curve_misfit import sensor_of
-from vibrojax.studies.maps.dimensions import default_of
-from vibrojax.systems.base import AbstractSystem
 
 QUANTITIES = {
     "amplitude_ratio": "amplitude",
@@ -102,7 +102,7 @@ def explore(
             at = fixed | starts | {name: end}
             sample = along_of(make_system, *_frequencies(axis, low, high), at).sample
     assert sample is not None
-    from vibrojax.results.plotting import label_of
+    from vibrojax.plot.style import label_of
 
     force = variable == "contact_force"
     sensor = Sensor(quantity=QUANTITIES[variable], with_force=True)
@@ -112,7 +112,7 @@ def explore(
         force = first.amplitude is None
         y_label = label_of("contact_force")
         if not force:
-            from vibrojax.results.identification_plot import amplitude_label
+            from vibrojax.plot.identification import amplitude_label
 
             y_label = amplitude_label(first)
             sensor = dataclasses.replace(sensor_of(first), with_force=True)

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vibrojax._checks import nearest
-from vibrojax._files import path_of
-from vibrojax._signatures import validated
+from vibrojax._tools.checks import nearest
+from vibrojax._tools.files import path_of
+from vibrojax._tools.signatures import validated
+from vibrojax.branches.branch import Branch
+from vibrojax.branches.continuation import Ending
 from vibrojax.explorer.live_curve import CurveTracer, LiveCurve
 from vibrojax.explorer.live_orbit import LiveOrbit, orbit_at
 from vibrojax.measured.curve import MeasuredCurve
-from vibrojax.response.continuation import Ending
-from vibrojax.results.branch import Branch
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.saving import whole_files
 from vibrojax.results.variables import axis_unit, named_value
-from vibrojax.systems.base import AbstractSystem
 
 if TYPE_CHECKING:
     from vibrojax.explorer.picture import LivePicture
@@ -155,7 +155,7 @@ class Explorer:
 
         Raises `ValueError` as `system` does.
         """
-        from vibrojax.studies.continue_response import continue_response
+        from vibrojax.branches.continue_response import continue_response
 
         tracer = self._tracer
         frequencies: dict[str, Any] = {tracer.axis: (tracer.low, tracer.high)}

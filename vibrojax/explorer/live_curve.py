@@ -14,8 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from vibrojax.response.balanced_motion import kicked_monodromy
-from vibrojax.response.condensed import (
+from vibrojax.branches.continuation import LONGEST_STEP, Ending, Settings, begin
+from vibrojax.branches.special_points import parabola_vertex
+from vibrojax.branches.tracing import Traced, free_motion, in_batches, take, trace_branches
+from vibrojax.identification.sensor import Sensor, observe
+from vibrojax.model.systems import AbstractSystem, as_arrays
+from vibrojax.steady.balanced_motion import kicked_monodromy
+from vibrojax.steady.condensed import (
     Balance,
     Problem,
     balance,
@@ -24,14 +29,9 @@ from vibrojax.response.condensed import (
     differentiate,
     state_of,
 )
-from vibrojax.response.contact_times import MOST_EVENTS, Orbit, follow_events, tables_of
-from vibrojax.response.continuation import LONGEST_STEP, Ending, Settings, begin
-from vibrojax.response.orbit_reading import find_crossings
-from vibrojax.response.paths import FrequencyPath, Place, frequency_path
-from vibrojax.response.sensor import Sensor, observe
-from vibrojax.response.special_points import parabola_vertex
-from vibrojax.response.tracing import Traced, free_motion, in_batches, take, trace_branches
-from vibrojax.systems.base import AbstractSystem, as_arrays
+from vibrojax.steady.contact_times import MOST_EVENTS, Orbit, follow_events, tables_of
+from vibrojax.steady.orbit_reading import find_crossings
+from vibrojax.steady.paths import FrequencyPath, Place, frequency_path
 
 SAMPLES = 128
 CONVERGED = (1e-3, 1e-4, 1e-8)

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from vibrojax.branches.tracing import take
 from vibrojax.explorer.live_curve import LiveCurve, balanced_at
-from vibrojax.response.condensed import cell_average, differentiate
-from vibrojax.response.tracing import take
+from vibrojax.steady.condensed import cell_average, differentiate
 
 FINER = 4
 """How many times finer than the balance the waveform is drawn."""

@@ -22,7 +22,7 @@ from vibrojax.explorer.live_curve import LiveCurve
 from vibrojax.explorer.live_orbit import LiveOrbit, orbit_at
 from vibrojax.explorer.swept_curve import swept_curve
 from vibrojax.measured.curve import DIRECTIONS, MeasuredCurve
-from vibrojax.results.plotting import COLORS, GREY, MARKERS
+from vibrojax.plot.style import COLORS, GREY, MARKERS
 
 SIZE, DPI = (11.0, 5.2), 100
 LABEL, SMALL = 12, 10

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from vibrojax.branches.continuation import Ending
 from vibrojax.explorer.live_curve import LiveCurve
-from vibrojax.response.continuation import Ending
 
 MOST_PIECES = 60
 

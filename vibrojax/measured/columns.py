@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax._checks import nearest
+from vibrojax._tools.checks import nearest
 from vibrojax.measured.cells import (
     DECIMALS,
     doubtful,

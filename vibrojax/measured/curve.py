@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax._checks import check_choice
-from vibrojax._described import in_short
-from vibrojax._signatures import validated
+from vibrojax._tools.checks import check_choice
+from vibrojax._tools.described import in_short
+from vibrojax._tools.signatures import validated
 from vibrojax.measured.cells import channel, real_channel
 from vibrojax.measured.scatter import (
     ASSUMED_LEVEL,

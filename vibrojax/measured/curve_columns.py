@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from vibrojax._checks import check_choice, nearest
+from vibrojax._tools.checks import check_choice, nearest
 from vibrojax.measured.columns import (
     ANY_FORCE,
     CONTACT_FORCE,

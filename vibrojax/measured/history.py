@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax._checks import (
+from vibrojax._tools.checks import (
     check_choice,
     check_position,
     check_positive,
     check_range,
     nearest,
 )
-from vibrojax._signatures import validated
+from vibrojax._tools.signatures import validated
 from vibrojax.measured.cells import real_channel
 from vibrojax.measured.columns import (
     CONTACT_FORCE,

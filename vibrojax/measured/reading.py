@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax._signatures import validated
+from vibrojax._tools.signatures import validated
 from vibrojax.measured.columns import Unusable, numbers, real_numbers, usable
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves, check_parameters
 from vibrojax.measured.curve_columns import CurveColumns

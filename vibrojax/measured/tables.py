@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vibrojax._checks import check_choice
-from vibrojax._files import read_bytes
+from vibrojax._tools.checks import check_choice
+from vibrojax._tools.files import read_bytes
 from vibrojax.measured.cells import DECIMALS, decimal_signs, joined, plain_array, sign_of
 from vibrojax.measured.text_files import read_text
 

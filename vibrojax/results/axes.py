@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax._checks import nearest
+from vibrojax._tools.checks import nearest
 from vibrojax.results.variables import axis_description, named_value
 
 Array = np.ndarray

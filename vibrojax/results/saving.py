@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vibrojax._files import path_of
+from vibrojax._tools.files import path_of
 
 if TYPE_CHECKING:
     import xarray

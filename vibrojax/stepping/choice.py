@@ -2,11 +2,11 @@
 
 import equinox as eqx
 
-from vibrojax.contact import Stop
+from vibrojax.model.stops import Stop
+from vibrojax.model.systems import AbstractEquations, AbstractSystem, LinearEquations
 from vibrojax.stepping.contact_phases import MAX_STOPS, ContactPhases, contact_phases
 from vibrojax.stepping.linearly_implicit import LinearlyImplicit
 from vibrojax.stepping.method import AbstractMethod, ExactContact, ExponentialSplitting
-from vibrojax.systems.base import AbstractEquations, AbstractSystem, LinearEquations
 
 
 def _stops(system: AbstractSystem) -> tuple[Stop, ...]:

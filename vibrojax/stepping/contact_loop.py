@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from vibrojax._trigonometry import cosine
+from vibrojax._tools.trigonometry import cosine
 from vibrojax.stepping.contact_phases import ContactPhases, spread
 from vibrojax.stepping.elementary import (
     apply_matrix,

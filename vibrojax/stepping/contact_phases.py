@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from vibrojax._checks import concrete
-from vibrojax.contact_laws import can_pull, linear_coefficients
+from vibrojax._tools.checks import concrete
+from vibrojax.model.laws import can_pull, linear_coefficients
+from vibrojax.model.systems import LinearEquations
 from vibrojax.stepping.resonance import NEAR, is_resonant
-from vibrojax.systems.base import LinearEquations
 
 MAX_STOPS = 4
 """More stops than this make too many phases (2 to their number) to tabulate."""

@@ -16,13 +16,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_loop import ContactLoop, Flight, pick
 from vibrojax.stepping.contact_phases import ContactPhases, spread
 from vibrojax.stepping.elementary import apply_matrix
 from vibrojax.stepping.forcing import Forcing, forcing, longest_step
 from vibrojax.stepping.measures import Measures, no_measures
 from vibrojax.stepping.replay import replayed_while
-from vibrojax.systems.base import Motion
 
 lax = jax.lax
 

@@ -9,9 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from vibrojax._checks import check_count, check_positive, concrete
-from vibrojax._signatures import validated
-from vibrojax.drive import AbstractDrive
+from vibrojax._tools.checks import check_count, check_positive, concrete
+from vibrojax._tools.signatures import validated
+from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.systems import (
+    AbstractEquations,
+    AbstractSystem,
+    Motion,
+    as_arrays,
+    equations_of,
+    touching_stops,
+)
 from vibrojax.stepping.linearly_implicit_step import (
     StepMatrix,
     linear_matrices,
@@ -20,14 +28,6 @@ from vibrojax.stepping.linearly_implicit_step import (
 )
 from vibrojax.stepping.measures import Measures, Segment, no_measures
 from vibrojax.stepping.method import AbstractMarch, AbstractMethod, check_settings
-from vibrojax.systems.base import (
-    AbstractEquations,
-    AbstractSystem,
-    Motion,
-    as_arrays,
-    equations_of,
-    touching_stops,
-)
 
 lax = jax.lax
 

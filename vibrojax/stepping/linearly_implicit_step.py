@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from vibrojax.contact import Stop
-from vibrojax.contact_laws import linear_coefficients
+from vibrojax.model.laws import linear_coefficients
+from vibrojax.model.stops import Stop
+from vibrojax.model.systems import AbstractEquations, stop_forces
 from vibrojax.stepping.splitting import drift
-from vibrojax.systems.base import AbstractEquations, stop_forces
 
 CONTACT_PASSES = 4
 """Newton steps for a contact force that is not linear, or several stops that may let go."""

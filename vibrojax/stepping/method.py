@@ -11,14 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from vibrojax._checks import check_count, check_range, concrete
-from vibrojax._described import described
-from vibrojax._signatures import validated
-from vibrojax.drive import AbstractDrive
+from vibrojax._tools.checks import check_count, check_range, concrete
+from vibrojax._tools.described import described
+from vibrojax._tools.signatures import validated
+from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.systems import AbstractEquations, LinearEquations, Motion
 from vibrojax.stepping import exact_contact, splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 from vibrojax.stepping.measures import Measures
-from vibrojax.systems.base import AbstractEquations, LinearEquations, Motion
 
 
 def measuring(tolerance: Float[Array, "..."]) -> Float[Array, "..."]:

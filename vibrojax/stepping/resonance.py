@@ -15,11 +15,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 
-from vibrojax._trigonometry import cosine
-from vibrojax._types import AnyArray
-from vibrojax.contact import Stop
-from vibrojax.drive import AbstractDrive
-from vibrojax.systems.base import AbstractEquations, LinearEquations, contact_slope
+from vibrojax._tools.trigonometry import cosine
+from vibrojax._tools.types import AnyArray
+from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.stops import Stop
+from vibrojax.model.systems import AbstractEquations, LinearEquations, contact_slope
 
 NEAR = 1e-4
 """Distance of pole and drive, relative to the frequency, below which the input is integrated: at

@@ -16,13 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
-from vibrojax._trigonometry import cosine, sine
-from vibrojax.contact import Stop
-from vibrojax.stepping.contact_phases import spread
-from vibrojax.stepping.elementary import computed_once, cubic_maximum, where_needed
-from vibrojax.stepping.measures import Measures, Segment, no_measures
-from vibrojax.stepping.resonance import driven_growth, is_resonant
-from vibrojax.systems.base import (
+from vibrojax._tools.trigonometry import cosine, sine
+from vibrojax.model.stops import Stop
+from vibrojax.model.systems import (
     LinearEquations,
     Motion,
     contact_slope,
@@ -30,6 +26,10 @@ from vibrojax.systems.base import (
     stop_forces,
     touching_stops,
 )
+from vibrojax.stepping.contact_phases import spread
+from vibrojax.stepping.elementary import computed_once, cubic_maximum, where_needed
+from vibrojax.stepping.measures import Measures, Segment, no_measures
+from vibrojax.stepping.resonance import driven_growth, is_resonant
 
 lax = jax.lax
 

@@ -1,0 +1,190 @@
+"""What `vibrojax fit` is asked, put in order: numbers of a rig, their guesses and bounds."""
+
+import dataclasses
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vibrojax._tools.checks import nearest
+from vibrojax.measured.curve import MeasuredCurve
+from vibrojax.measured.reading import read_measured_curve
+from vibrojax.model.drives import NoDrive
+from vibrojax.model.impacting_beam import ImpactingBeam
+from vibrojax.model.laws import AbstractContactLaw, KelvinVoigt
+
+_OF_BEAM = (
+    "length",
+    "width",
+    "thickness",
+    "youngs_modulus",
+    "density",
+    "taper",
+    "mass_ratio",
+)
+_OF_STOP = ("position", "gap")
+_BOUNDS = {
+    "taper": (0.0, 0.99),
+    "mass_ratio": (0.0, np.inf),
+    "gap": (0.0, np.inf),
+    "position": (0.01, 1.0),
+    "damping_ratio": (0.0, np.inf),
+}
+"""Bounds of the numbers that make no rig beyond them."""
+
+
+def rig_numbers(system: ImpactingBeam) -> dict[str, float]:
+    """Return the numbers of a rig that can be fitted, by name; of stops, those of the first."""
+    found = {name: getattr(system.beam, name) for name in _OF_BEAM}
+    if system.stops:
+        stop = system.stops[0]
+        found |= {name: getattr(stop, name) for name in _OF_STOP}
+        found |= {name: getattr(stop.law, name) for name in _of_law(stop.law)}
+    found["damping_ratio"] = system.damping_ratio
+    if not isinstance(system.drive, NoDrive):
+        found["amplitude"] = getattr(system.drive, "amplitude")  # noqa: B009
+    return {name: float(np.asarray(value)) for name, value in found.items()}
+
+
+def rig_function(system: ImpactingBeam, names: Sequence[str]) -> Callable[..., ImpactingBeam]:
+    """Return a function of some numbers of a rig, whose defaults are those the rig has.
+
+    Raises `ValueError` for a name that is not among `rig_numbers(system)`.
+    """
+    known = rig_numbers(system)
+    for name in names:
+        if name not in known:
+            raise ValueError(_unknown(name, known, system))
+
+    def make(**numbers: Any) -> ImpactingBeam:
+        """Return the rig with some numbers changed."""
+        changed: dict[str, Any] = {
+            "beam": dataclasses.replace(system.beam, **_of(numbers, _OF_BEAM)),
+            **_of(numbers, ("damping_ratio",)),
+        }
+        if system.stops:
+            first, *others = system.stops
+            law: Any = first.law
+            law = dataclasses.replace(law, **_of(numbers, _of_law(law)))
+            first = dataclasses.replace(first, law=law, **_of(numbers, _OF_STOP))
+            changed["stops"] = (first, *others)
+        if "amplitude" in numbers:
+            drive: Any = system.drive
+            changed["drive"] = dataclasses.replace(drive, amplitude=numbers["amplitude"])
+        return dataclasses.replace(system, **changed)
+
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    parameters = [inspect.Parameter(name, keyword, default=known[name]) for name in names]
+    setattr(make, "__signature__", inspect.Signature(parameters))  # noqa: B010
+    return make
+
+
+def _of_law(law: AbstractContactLaw) -> tuple[str, ...]:
+    """Names of the numbers of a contact law."""
+    fields: Any = dataclasses.fields(law)  # pyright: ignore[reportArgumentType]
+    return tuple(field.name for field in fields if not field.metadata.get("static"))
+
+
+def _of(numbers: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    return {name: numbers[name] for name in names if name in numbers}
+
+
+def _unknown(name: str, known: Mapping[str, float], system: ImpactingBeam) -> str:
+    if name in (*_OF_STOP, *_of_law(KelvinVoigt(0.0))) and not system.stops:
+        return f"--fit {name}: the rig has no stop. Give it a table [[stop]]."
+    if name == "amplitude":
+        return "--fit amplitude: the rig has no drive. Give it a table [drive]."
+    return f"--fit: unknown number {name!r}. {nearest(name, known)}"
+
+
+def pairs(option: str, texts: Sequence[str], example: str) -> dict[str, str]:
+    """Return what was given as name=value. Raises `ValueError`, naming the option, otherwise."""
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not (name and equals and value):
+            raise ValueError(f"{option} must be name=value, such as {example}, got {text!r}.")
+        if name in found:
+            raise ValueError(f"{option} has {name} twice.")
+        found[name] = value
+    return found
+
+
+def guesses(system: ImpactingBeam, names: Sequence[str], given: Sequence[str]) -> dict[str, float]:
+    """Return the first value of every number to fit: as given, else as the rig has it."""
+    known = rig_numbers(system)
+    told = pairs("--guess", given, "stiffness=3000")
+    _check_fitted("--guess", told, names)
+    return {
+        name: _number("--guess", name, told[name]) if name in told else known[name]
+        for name in names
+    }
+
+
+def bounds(names: Sequence[str], given: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return the bounds of the numbers to fit: as given, else where there is no rig beyond."""
+    told = pairs("--bounds", given, "stiffness=100:1e5")
+    _check_fitted("--bounds", told, names)
+    found = {name: _BOUNDS[name] for name in names if name in _BOUNDS}
+    for name, text in told.items():
+        ends = text.split(":")
+        if len(ends) != 2:
+            raise ValueError(
+                f"--bounds must be name=low:high, such as stiffness=100:1e5, got '{name}={text}'."
+            )
+        low, high = (_number("--bounds", name, end) for end in ends)
+        found[name] = low, high
+    return found
+
+
+def _check_fitted(option: str, told: Mapping[str, str], names: Sequence[str]) -> None:
+    for name in told:
+        if name not in names:
+            raise ValueError(
+                f"{option} of {name!r}, which is not fitted: {', '.join(names)} "
+                f"{'is' if len(names) == 1 else 'are'}. Name it in --fit."
+            )
+
+
+def _number(option: str, name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{option} of {name} must be a number, got {text!r}.") from None
+
+
+def read_curve(
+    path: Path,
+    columns: Sequence[str],
+    units: Sequence[str],
+    quantity: str | None,
+    frame: str | None,
+    decimal: str | None,
+) -> MeasuredCurve:
+    """Read the curve to fit. Raises `ValueError` as `read_measured_curve` does."""
+    named: dict[str, str | int | None] = {}
+    for key, value in pairs("--columns", columns, "frequency=f_Hz").items():
+        named[key] = int(value) if value.isdecimal() else None if value == "none" else value
+    told = pairs("--units", units, "amplitude=mm")
+    try:
+        found = read_measured_curve(
+            path, columns=named, units=told, quantity=quantity, frame=frame, decimal=decimal
+        )
+    except ValueError as error:
+        raise ValueError(_as_options(str(error))) from None
+    if not isinstance(found, MeasuredCurve):
+        raise ValueError(f"{str(path)!r} holds {len(found)} curves: give a file of one.")
+    return found
+
+
+def _as_options(advice: str) -> str:
+    """Return advice to a caller as that to a user of the command: options for keywords."""
+    advice = re.sub(
+        r"(columns|units)=dict\((\w+)=('[^']*'|\w+)\)",
+        lambda m: f"--{m[1]} {m[2]}={'none' if m[3] == 'None' else m[3]}",
+        advice,
+    )
+    return re.sub(r"\b(decimal|quantity|frame)=", r"--\1 ", advice)

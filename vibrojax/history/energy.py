@@ -1,0 +1,155 @@
+"""Where the energy of a history is and where it goes."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax._tools.checks import check_choice
+from vibrojax._tools.signatures import validated
+from vibrojax.history.between_samples import flow
+from vibrojax.history.contacts import samples_of
+from vibrojax.results.variables import described_as
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+    from vibrojax.history.history import History
+
+KINDS = ("stacked", "lines")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EnergyFlow:
+    """Energy of the modes and the stops at every sample, and what was lost and put in till then.
+
+    Energies are those of the motion relative to the base; the modes are those of the system out of
+    contact.
+    """
+
+    time: Float[np.ndarray, " samples"]
+    """s."""
+    modal_energy: Float[np.ndarray, "samples modes"]
+    """Kinetic and strain energy of every mode, J."""
+    stop_energy: Float[np.ndarray, "samples stops"]
+    """Energy stored in every stop, J."""
+    beam_loss: Float[np.ndarray, "samples modes"]
+    """Lost by modal damping since the start, J; where it couples modes, to the mode it slows."""
+    contact_loss: Float[np.ndarray, "samples stops"]
+    """Lost in every stop since the start, J."""
+    input_work: Float[np.ndarray, " samples"]
+    """Work of the drive since the start, J: of the force, or of the inertial force of the base."""
+
+    @property
+    def share(self) -> Float[np.ndarray, "samples modes"]:
+        """Share of every mode in the energy of the body; 0 where that has none."""
+        total = self.modal_energy.sum(axis=1, keepdims=True)
+        return self.modal_energy / np.where(total > 0, total, 1.0)
+
+    @property
+    def total(self) -> Float[np.ndarray, " samples"]:
+        """Energy of the body and the stops, J."""
+        return self.modal_energy.sum(axis=1) + self.stop_energy.sum(axis=1)
+
+    @property
+    def balance(self) -> Float[np.ndarray, " samples"]:
+        """Energy that is unaccounted for, by the largest energy held or lost: 0 but for errors."""
+        lost = self.beam_loss.sum(axis=1) + self.contact_loss.sum(axis=1)
+        missing = self.total - self.total[0] + lost - self.input_work
+        size = max(np.max(self.total), np.max(np.abs(lost)), np.max(np.abs(self.input_work)))
+        return missing / (size if size > 0 else 1.0)
+
+    @validated
+    def mean_share(
+        self, start: float | int | None = None, stop: float | int | None = None
+    ) -> Float[np.ndarray, " modes"]:
+        """Return the mean share of every mode between two times (s), by default all of them.
+
+        Raises `ValueError` when no sample lies between them.
+
+        Parameters:
+            start: first time, s; None: from the start of the history.
+            stop: last time, s; None: to its end.
+        """
+        inside = np.ones(self.time.size, bool)
+        if start is not None:
+            inside &= self.time >= start
+        if stop is not None:
+            inside &= self.time <= stop
+        if not inside.any():
+            raise ValueError(
+                f"No sample lies between start = {start!r} and stop = {stop!r}: the history runs "
+                f"from {self.time[0]:.6g} to {self.time[-1]:.6g} s."
+            )
+        return self.share[inside].mean(axis=0)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return a dataset over time, mode and stop, with units and long names."""
+        import xarray
+
+        def named(values, units, long_name, *dims):
+            return (("time", *dims), values, {"units": units, "long_name": long_name})
+
+        data = {
+            "modal_energy": named(self.modal_energy, "J", "Energy of the modes", "mode"),
+            "share": named(self.share, "1", "Share of the energy of the body", "mode"),
+            "stop_energy": named(self.stop_energy, "J", "Energy stored in the stops", "stop"),
+            "beam_loss": named(self.beam_loss, "J", "Cumulated loss by modal damping", "mode"),
+            "contact_loss": named(self.contact_loss, "J", "Cumulated loss in the stops", "stop"),
+            "input_work": named(self.input_work, "J", "Cumulated work of the drive"),
+            "balance": named(self.balance, "1", "Energy unaccounted for, by the largest"),
+        }
+        coordinates = {
+            "time": ("time", self.time, {"units": "s", "long_name": "Time"}),
+            "mode": ("mode", np.arange(1, self.modal_energy.shape[1] + 1), described_as("mode")),
+            "stop": ("stop", np.arange(1, self.stop_energy.shape[1] + 1), described_as("stop")),
+        }
+        return xarray.Dataset(data, coordinates)
+
+    @validated
+    def plot(self, kind: str = "stacked") -> "Figure":
+        """Draw the share of every mode against time, and the losses and the input below it.
+
+        `kind` is `stacked` (shares add up to 1) or `lines` (on a logarithmic axis, which shows
+        small shares).
+
+        Raises `ValueError` for another kind.
+        """
+        from vibrojax.plot.energy import plot_energy
+
+        check_choice("kind", kind, KINDS)
+        return plot_energy(self, kind)
+
+    def __repr__(self) -> str:
+        shares = ", ".join(f"{100 * share:.3g}" for share in self.mean_share())
+        return (
+            f"EnergyFlow(0 to {self.time[-1]:.6g} s, mean shares of the modes {shares} %, lost in "
+            f"the body {self.beam_loss[-1].sum():.4g} J, in the stops "
+            f"{self.contact_loss[-1].sum():.4g} J, put in {self.input_work[-1]:.4g} J)"
+        )
+
+
+def energy_of(history: "History") -> EnergyFlow:
+    """Follow the energy of a history; see `History.energy`."""
+    time, states = samples_of(history, "energies")
+    between = flow(history.motion, time, states)
+    equations = history.motion.equations
+    stiffness = np.asarray(equations.modal_stiffness)  # pyright: ignore[reportAttributeAccessIssue]
+    mass = np.asarray(equations.modal_mass)  # pyright: ignore[reportAttributeAccessIssue]
+    n = mass.size
+    q, rate = states[:, :n], states[:, n : 2 * n]
+
+    def cumulated(values):
+        zero = np.zeros((1, *values.shape[1:]))
+        return np.concatenate([zero, np.cumsum(values, axis=0)])
+
+    return EnergyFlow(
+        time=time,
+        modal_energy=mass * (rate**2 + stiffness * q**2) / 2,
+        stop_energy=between.stop_energy,
+        beam_loss=cumulated(between.beam_loss),
+        contact_loss=cumulated(between.contact_loss),
+        input_work=cumulated(between.input_work),
+    )

@@ -1,0 +1,135 @@
+"""Time histories of several rigs, made in one go."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import ArrayLike
+
+from vibrojax._tools.checks import check_count
+from vibrojax._tools.signatures import validated
+from vibrojax.history.history import History
+from vibrojax.results.axes import coordinates_of, example, pick
+from vibrojax.results.variables import described_as
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+    from vibrojax.history.cycles import Cycles
+
+
+class Histories(eqx.Module):
+    """One `History` for every combination of the axes, in the order of the call.
+
+    `histories[i]` counts along the only axis, or through all combinations; `histories.at(force=12)`
+    picks by value.
+    """
+
+    axes: dict[str, np.ndarray]
+    """Values of the numbers that differ, by name; those that go together as a structured array."""
+    lanes: History
+    """All of them, stacked along a leading axis."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of the axes."""
+        return tuple(len(values) for values in self.axes.values())
+
+    def __len__(self) -> int:
+        return self.lanes.time.shape[0]
+
+    def __getitem__(self, index: int) -> History:
+        if not -len(self) <= index < len(self):  # which also ends a loop over them
+            raise IndexError(f"index {index} of {len(self)} histories.")
+        return jax.tree.map(lambda a: a[index], self.lanes)
+
+    def __iter__(self) -> Iterator[History]:
+        return (self[k] for k in range(len(self)))
+
+    @validated
+    def at(self, **values: float) -> History:
+        """Return the history nearest to a value of every axis.
+
+        Raises `ValueError` for an unknown axis, or one without a value.
+
+        `values` are numbers by name of the axes.
+        """
+        place, _, missing = pick(self.axes, values)
+        if missing:
+            told = example(self.axes, missing[0])
+            raise ValueError(f"Give a value of {missing[0]} too, such as {told}.")
+        return self[int(np.ravel_multi_index(place, self.shape)) if place else 0]
+
+    @validated
+    def cycles(
+        self,
+        quantity: str = "displacement",
+        *,
+        level: float | int = 0.0,
+        threshold: float | int | None = None,
+    ) -> "Cycles":
+        """Return the cycles of all histories together, as `History.cycles` reads them.
+
+        Histories that diverged are left out and counted. Raises `ValueError` as that does, or where
+        all of them diverged.
+
+        `quantity`, `level` and `threshold` are those of `History.cycles`.
+        """
+        from vibrojax.history.cycles import cycles_of_each
+
+        return cycles_of_each(self, quantity, level, threshold)
+
+    @validated
+    def plot(
+        self, quantity: str = "displacement", position: ArrayLike | None = None, *, most: int = 8
+    ) -> "Figure":
+        """Draw a quantity of the histories against time.
+
+        Parameters:
+            quantity, position: as for `History.quantity`.
+            most: how many are drawn at most, evenly chosen.
+
+        Raises `ValueError` for an unknown quantity, or `most` below 1.
+        """
+        from vibrojax.plot.histories import plot_histories
+
+        check_count("most", most)
+        return plot_histories(self, quantity, position, most)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return one dataset over the axes and what `History.to_xarray` has.
+
+        Where the times differ, `time` is a variable over `sample`.
+        """
+        import xarray
+
+        each = [history.to_xarray() for history in self]
+        first = each[0]
+        times = np.stack([one["time"].values for one in each])
+        alike = bool((times == times[0]).all())
+        if not alike:
+            each = [one.drop_indexes("time").reset_coords("time") for one in each]
+            each = [one.rename_dims(time="sample") for one in each]
+            first = each[0]
+        data: dict[Any, Any] = {
+            name: (
+                (*self.axes, *first[name].dims),
+                np.stack([one[name].values for one in each]).reshape(
+                    (*self.shape, *first[name].shape)
+                ),
+                first[name].attrs,
+            )
+            for name in first.data_vars
+        }
+        status = [one.attrs["status"] for one in each]
+        data["status"] = (tuple(self.axes), np.reshape(status, self.shape), described_as("status"))
+        coordinates = coordinates_of(self.axes)
+        attributes = {k: v for k, v in first.attrs.items() if k != "status"}
+        return xarray.Dataset(data, {**first.coords, **coordinates}, attrs=attributes)
+
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{name}: {len(values)}" for name, values in self.axes.items())
+        return f"Histories({axes or 1}; each {self[0]!r})"

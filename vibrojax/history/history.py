@@ -1,0 +1,387 @@
+"""The result of a simulation: a time history and what can be read from it."""
+
+from typing import TYPE_CHECKING
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from vibrojax._tools.checks import check_choice, check_one, check_range, is_traced
+from vibrojax._tools.described import recipe
+from vibrojax._tools.signatures import validated
+from vibrojax.history.quantities import (
+    QUANTITIES,
+    STRAIN_POWER,
+    displacement_of,
+    observables_of,
+    quantity_of,
+    unit_and_label,
+)
+from vibrojax.model.impacting_beam import ImpactingBeam
+from vibrojax.model.systems import AbstractSystem, LinearEquations, Motion
+from vibrojax.results.status import Status
+from vibrojax.results.variables import described_as
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+    from vibrojax.history.contacts import Contacts, Peak
+    from vibrojax.history.cycles import Cycles
+    from vibrojax.history.energy import EnergyFlow
+    from vibrojax.history.poincare import PoincareSection
+    from vibrojax.history.spectrum import Spectrum
+
+
+class History(eqx.Module):
+    """Motion of one lane at equal intervals; displacements are relative to the base."""
+
+    system: AbstractSystem
+    """What moves."""
+    motion: Motion
+    """Its equations with drive and waveform: the `args` of a solver."""
+    time: Float[Array, " samples"]
+    """s."""
+    coordinates: Float[Array, "samples coordinates"]
+    """Modal coordinates q of a beam, m (shapes as `modes(...)` normalises them); those of the
+    equations of other systems, in `coordinate_units`."""
+    rates: Float[Array, "samples coordinates"]
+    """Their velocities, per s."""
+    accelerations: Float[Array, "samples coordinates"]
+    """Their accelerations, per s2."""
+    contact_force: Float[Array, "samples stops"]
+    """Force of each stop, N, positive when it pushes the body off."""
+    memory: Float[Array, "samples memories"]
+    """Internal states of the stops whose law has one, m for a `StandardLinearSolid`."""
+    status: Int[Array, ""]
+    """`Status.completed` when the integration reached its end, `Status.diverged` when not."""
+
+    @classmethod
+    def of(
+        cls,
+        system: AbstractSystem,
+        motion: Motion,
+        time: Float[Array, " samples"],
+        states: Float[Array, "samples states"],
+        result: diffrax.RESULTS,
+    ) -> "History":
+        """Read everything off the states of an integration.
+
+        Parameters:
+            system: what moves.
+            motion: its equations, drive and waveform.
+            time: when the states are known, s.
+            states: (q, q', memories) at these times.
+            result: how diffrax ended.
+        """
+        q, v, memory = (part.T for part in motion.equations.split(states.T))
+        equations = motion.sharp_equations()
+
+        def read(time, q, v, memory):
+            held = (memory,) if equations.memory_size else ()
+            drive_input = motion.drive.input(motion.waveform, time)
+            acceleration = equations.acceleration(q, v, drive_input, *held)
+            return acceleration, equations.contact_forces(q, v, *held)
+
+        accelerations, force = jax.vmap(read)(time, q, v, memory)
+        ended = (result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(states))
+        status = jnp.where(ended, Status.completed.value, Status.diverged.value)
+        return cls(system, motion, time, q, v, accelerations, force, memory, status)
+
+    @property
+    def states(self) -> Float[Array, "samples states"]:
+        """States (q, q', memories of stops), as `initial_state=` and `guess=` take them.
+
+        After whole drive periods the drive is at phase 0 again, from where a motion goes on.
+        """
+        return jnp.concatenate([self.coordinates, self.rates, self.memory], axis=-1)
+
+    def _shape(self, position: ArrayLike | None) -> Float[Array, " coordinates"]:
+        equations = self.motion.equations
+        if position is None and isinstance(equations, LinearEquations):
+            return equations.response_map
+        if position is None or not isinstance(self.system, ImpactingBeam):
+            raise ValueError("Only the history of a beam has a position along it.")
+        check_one("position", position, "place x/L")
+        allowed = "from 0 (root) to 1 (tip)"
+        check_range("position", position, 0.0, 1.0, allowed=allowed, advice="It is x/length.")
+        return self.system.modes().shape(position)
+
+    @validated(traceable=True)
+    def displacement(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
+        """Displacement relative to the base at s = x/L of a beam, m.
+
+        Without a position, here and below: what a frequency response reports, the tip of a beam.
+
+        Raises `ValueError` for a `position` where the system has none, or outside [0, 1].
+        """
+        return displacement_of(self, position)[0]
+
+    @validated(traceable=True)
+    def velocity(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
+        """Velocity relative to the base at s = x/L, m/s.
+
+        `position` is as for `displacement`. Raises `ValueError` where there is no such
+        place.
+        """
+        return displacement_of(self, position)[1]
+
+    @validated(traceable=True)
+    def acceleration(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
+        """Acceleration relative to the base at s = x/L, m/s2.
+
+        With contact damping the force jumps at touch, and the peak of the acceleration does not
+        converge with the number of modes.
+
+        `position` is as for `displacement`. Raises `ValueError` where there is no such
+        place.
+        """
+        return displacement_of(self, position)[2]
+
+    @validated(traceable=True)
+    def quantity(self, name: str, position: ArrayLike | None = None) -> Float[Array, " samples"]:
+        """Return a quantity by name; the contact force is that of all stops together.
+
+        Beside displacement, velocity, acceleration and contact force: the observables of the
+        equations (`strain_energy`, J, of every system) and `strain_power`, the rate of the strain
+        energy, W. Raises `ValueError` for an unknown name, or a position where there is none.
+        """
+        return quantity_of(self, name, position)[0]
+
+    @validated
+    def spectrum(
+        self,
+        quantity: str = "displacement",
+        position: ArrayLike | None = None,
+        *,
+        start: float | int = 0.0,
+        window: str = "hann",
+        segment: float | int | None = None,
+        overlap: float | int = 0.5,
+        averages: int | None = None,
+        scaling: str = "peak",
+        span: float | int | None = None,
+        units: str | None = None,
+    ) -> "Spectrum":
+        """Return the spectrum of a quantity as an analyser shows it.
+
+            history.spectrum("acceleration", start=2, segment=2, averages=30, span=800, units="g")
+
+        Parameters:
+            quantity, position: as for `quantity`; one place.
+            start: time from which on the record counts, s.
+            window: a name that `scipy.signal.get_window` knows. `hann` tells lines apart, `flattop`
+                reads amplitudes best, `boxcar` is exact over whole periods and for transients that
+                die out within the segment.
+            segment: length of the segments whose powers are averaged, s. None: one segment, all of
+                the record but its last sample, which repeats the first over whole periods.
+            overlap: share of a segment that the next one has too, from 0 to below 1.
+            averages: segments to average, from `start` on; None: as many as the record has.
+            scaling: `peak` (a sine of amplitude 1 shows as 1), `rms`, `power` (rms squared),
+                `density` (power per Hz) or `energy_density` (of a transient: density times
+                segment).
+            span: highest frequency kept, Hz. Nothing is filtered: what lies above is left out.
+            units: such as `g` or `mm`; None: SI units.
+
+        Raises `ValueError` for an unknown quantity, window, scaling or unit, a history that
+        diverged or holds lanes, fewer than 8 samples in a segment, one longer than the record,
+        too few averages, an overlap or span outside of what is possible, or a history sampled below
+        twice the highest natural frequency when more than 1 % of the rms is folded from there.
+        """
+        from vibrojax.history.history_spectrum import spectrum_of_history
+
+        return spectrum_of_history(
+            self,
+            quantity,
+            position,
+            start=start,
+            window=window,
+            segment=segment,
+            overlap=overlap,
+            averages=averages,
+            scaling=scaling,
+            span=span,
+            units=units,
+        )
+
+    @validated
+    def cycles(
+        self,
+        quantity: str = "displacement",
+        *,
+        level: float | int = 0.0,
+        threshold: float | int | None = None,
+    ) -> "Cycles":
+        """Return the cycles of a quantity, from up-crossing to up-crossing of a level.
+
+            history.cycles("bearing_angle", threshold=0.04).plot()
+
+        Parameters:
+            quantity: as for `quantity`.
+            level: what is crossed, in the unit of the quantity.
+            threshold: hysteresis: an up-crossing counts only if the quantity was below level -
+                threshold since the one before. None: 0.3 of the rms of the quantity about the
+                level.
+
+        Crossing times are those of cubics between the samples, and the lengths in drive periods
+        count the phase of the drive, exactly also in a chirp. Source: Litak et al., fig. 4. Raises
+        `ValueError` for an unknown quantity, a negative threshold, or a history that diverged, is
+        traced or holds lanes.
+        """
+        from vibrojax.history.cycles import cycles_of
+
+        return cycles_of(self, quantity, level, threshold)
+
+    @validated
+    def poincare(
+        self,
+        quantity: str = "displacement",
+        level: float | int | None = None,
+        direction: str = "upwards",
+        *,
+        phase: float | int = 0.0,
+        start: float | int = 0.0,
+    ) -> "PoincareSection":
+        """Return a Poincaré section: the motion once a drive period, or where a level is crossed.
+
+            history.poincare(start=5.0).plot()
+            history.poincare("bearing_angle", level=0.0)
+
+        Parameters:
+            quantity: as for `quantity`, but not the acceleration or a force; drawn by `plot`.
+            level: value at whose crossings the motion is read, in the unit of the quantity. None:
+                it is read whenever the drive has the given phase.
+            direction: crossings counted: `upwards`, `downwards` or `both`.
+            phase: of the drive, rad, for a section without a level.
+            start: time from which on crossings count, s.
+
+        Between samples a cubic is read, so that values are good to the fourth power of the
+        interval, to the second where a stop is touched between two samples. Raises `ValueError` for
+        what cannot be, a section by the phase of a system that nothing drives, or a history that
+        diverged, is traced or holds lanes.
+        """
+        from vibrojax.history.poincare import section_of
+
+        return section_of(self, quantity, level, direction, phase, start)
+
+    def contacts(self) -> "Contacts":
+        """Return the table of all contacts, one row each, with their exact times.
+
+        What happens between the samples is computed: times are good to about 1e-12 s where the
+        stops are linear in contact, else as the steps of `ExponentialSplitting` allow.
+
+        Raises `ValueError` for a history that diverged, is traced or holds lanes, for a system that
+        is not linear but for its stops, for damping that couples the modes together with stops that
+        are not linear in contact, or for samples too far apart.
+        """
+        from vibrojax.history.contacts import contacts_of
+
+        return contacts_of(self)
+
+    @validated
+    def peak(
+        self,
+        quantity: str = "acceleration",
+        position: ArrayLike | None = None,
+        start: float | int = 0.0,
+    ) -> "Peak":
+        """Return the value of largest modulus from `start` (s) on, and its time, in SI units.
+
+        Also between the samples, and on both sides of every touch and departure, where
+        accelerations and forces jump. Of the `contact_force` of all stops together the largest
+        value, not modulus. Quantity and position (one place) are as for `quantity`.
+
+        Raises `ValueError` for an unknown quantity, a `start` after the end, and as `contacts`
+        does.
+        """
+        from vibrojax.history.contacts import peak_of
+
+        check_choice("quantity", quantity, tuple(QUANTITIES))
+        if not isinstance(self.motion.equations, LinearEquations):
+            raise ValueError(
+                "Peaks between samples are known of systems that are linear but for their stops. "
+                "Sample finely, and take the largest of history.quantity(...)."
+            )
+        return peak_of(self, quantity, position, start)
+
+    def energy(self) -> "EnergyFlow":
+        """Return the energy of every mode and stop, and the losses and the input till then.
+
+        Raises `ValueError` as `contacts` does.
+        """
+        from vibrojax.history.energy import energy_of
+
+        return energy_of(self)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return a dataset over time, mode (or coordinate) and stop, with units and long names."""
+        import xarray
+
+        def named(values, units, long_name, *dims):
+            return (
+                (*("time", *dims),),
+                np.asarray(values),
+                {"units": units, "long_name": long_name},
+            )
+
+        unit, modal, along = self.motion.equations.coordinate_units, "Generalised ", "coordinate"
+        if isinstance(self.motion.equations, LinearEquations):
+            modal, along = "Modal ", "mode"
+        parts = {
+            "coordinates": (unit, "coordinates"),
+            "rates": (f"{unit}/s", "velocities"),
+            "accelerations": (f"{unit}/s2", "accelerations"),
+        }
+        data = {
+            name: named(getattr(self, name), units, modal + label, along)
+            for name, (units, label) in parts.items()
+        }
+        data["contact_force"] = named(self.contact_force, "N", "Contact force", "stop")
+        beam = isinstance(self.system, ImpactingBeam)
+        prefix, place = ("tip_", " of the tip") if beam else ("", "")
+        moved = displacement_of(self)
+        for name, values in zip(("displacement", "velocity", "acceleration"), moved, strict=True):
+            units, label = QUANTITIES[name]
+            data[prefix + name] = named(values, units, label + place)
+        for name in (*observables_of(self.motion.equations), STRAIN_POWER):
+            data[name] = named(self.quantity(name), *unit_and_label(name))
+        coordinates = {
+            "time": ("time", np.asarray(self.time), {"units": "s", "long_name": "Time"}),
+            along: (along, np.arange(1, self.coordinates.shape[1] + 1), described_as(along)),
+            "stop": ("stop", np.arange(1, self.contact_force.shape[1] + 1), described_as("stop")),
+        }
+        attributes = {"status": Status(int(self.status)).name, "rig": recipe(self.system)}
+        return xarray.Dataset(data, coordinates, attrs=attributes)
+
+    @validated
+    def plot(self, quantity: str = "displacement", position: ArrayLike | None = None) -> "Figure":
+        """Draw a quantity and the contact force against time.
+
+        `quantity` and `position` are those of `History.quantity`. Raises `ValueError` for
+        an unknown quantity, or a position where there is none.
+        """
+        from vibrojax.plot.history import plot_history
+
+        return plot_history(self, quantity, position)
+
+    @validated
+    def plot_chirp(self, *quantities: str) -> "Figure":
+        """Draw the drive, quantities and the drive frequency against time, one below the other.
+
+        By default the bearing angle where there is one, else the displacement, and the chord
+        reduction, else the strain energy. Source: Litak et al., fig. 4. Raises `ValueError` for an
+        unknown quantity, a system that nothing drives, or a history that holds lanes.
+        """
+        from vibrojax.plot.chirp import plot_chirp
+
+        return plot_chirp(self, quantities)
+
+    def __repr__(self) -> str:
+        *lanes, samples, coordinates = self.coordinates.shape
+        head = f"History({samples} samples, {coordinates} coordinates"
+        if is_traced(self.time) or lanes:
+            return head + ")"
+        return f"{head}, 0 to {float(self.time[-1]):.6g} s, {Status(int(self.status)).name})"

@@ -1,0 +1,91 @@
+"""The spectrum of a history: what `spectrum_of` needs, read off the motion."""
+
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from vibrojax._tools.checks import is_traced
+from vibrojax.history.quantities import (
+    QUANTITIES,
+    STRAIN_POWER,
+    displacement_of,
+    observable_motion,
+)
+from vibrojax.history.spectrum import FOLDED, Spectrum, folded_share, spectrum_of
+from vibrojax.model.drives import Harmonic
+from vibrojax.model.impacting_beam import ImpactingBeam
+from vibrojax.model.systems import LinearEquations
+from vibrojax.results.status import Status
+
+if TYPE_CHECKING:
+    from vibrojax.history.history import History
+
+
+def spectrum_of_history(
+    history: "History",
+    quantity: str,
+    position: ArrayLike | None,
+    *,
+    start: float | int,
+    segment: float | int | None,
+    **settings: Any,
+) -> Spectrum:
+    """Return the spectrum of a quantity; see `History.spectrum`."""
+    if np.ndim(history.time) != 1 or is_traced(history.time):
+        raise ValueError(
+            "A spectrum is of one history outside jit and vmap, got lanes of shape "
+            f"{np.shape(history.time)[:-1]}. Take one: jax.tree.map(lambda a: a[0], history)."
+        )
+    if int(history.status) != Status.completed.value:
+        raise ValueError(f"This history has no spectrum: it {Status(int(history.status)).name}.")
+    time = np.asarray(history.time)
+    inside = time >= start
+    if np.sum(inside) < 9:
+        raise ValueError(
+            f"start = {start!r} s leaves {np.sum(inside)} samples, 9 are needed. The history "
+            f"ends at {time[-1]:.6g} s."
+        )
+    rate = float(1 / (time[1] - time[0]))
+    is_force = quantity == "contact_force"
+    if is_force:
+        position = None
+    values = np.asarray(history.quantity(quantity, position))[inside]
+    motion = history.motion
+    equations, waveform, drive = motion.equations, motion.waveform, motion.drive
+    _, angular, second = waveform.phase(jnp.zeros(()))
+    clock, natural = float(angular) / (2 * np.pi), np.zeros(0)
+    if isinstance(equations, LinearEquations):
+        natural = np.asarray(equations.angular_frequency) / (2 * np.pi)
+    if np.max(natural, initial=0.0) > rate / 2:
+        if quantity in QUANTITIES:
+            moved, _, pushed = displacement_of(history, position)
+        else:
+            watched = "strain_energy" if quantity == STRAIN_POWER else quantity
+            moved, _, pushed = observable_motion(history, watched)
+        moved, pushed = np.asarray(moved)[inside], np.asarray(pushed)[inside]
+        # A force has no derivative to tell folded lines by: the motion it causes has.
+        share = folded_share(pushed if is_force else values, moved, pushed, rate)
+        if share > FOLDED:
+            raise ValueError(
+                f"The history has {rate:.6g} samples/s and a highest mode of {max(natural):.6g}"
+                f" Hz: {100 * share:.2g} % of the rms lies above {rate / 2:.6g} Hz and would "
+                "be folded. Give simulate a sampling_rate of at least "
+                f"{2.56 * max(natural):.5g} Hz, or samples_per_period of at least "
+                f"{int(np.ceil(2.56 * max(natural) / clock))}."
+            )
+    moving = abs(complex(drive.complex_amplitude(angular, second))) > 0
+    of_a_place = quantity in QUANTITIES and not is_force
+    if position is None and isinstance(history.system, ImpactingBeam) and of_a_place:
+        position = 1.0
+    return spectrum_of(
+        values[:-1] if segment is None else values,
+        rate,
+        quantity=quantity,
+        segment=segment,
+        drive_frequency=clock if moving and isinstance(waveform, Harmonic) else None,
+        natural_frequencies=natural,
+        position=None if position is None else float(np.asarray(position)),
+        **settings,
+    )

@@ -1,0 +1,177 @@
+"""Poincaré sections of a history: by the phase of the drive, or by crossings of a level."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax._tools.checks import check_choice, check_range, nearest
+from vibrojax._tools.signatures import validated
+from vibrojax.history.crossings import check_whole, crossings, curve_of, curve_through
+from vibrojax.history.quantities import observable_motion, observables_of, unit_and_label
+from vibrojax.results.variables import described_as
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+    from vibrojax.history.history import History
+
+DIRECTIONS = ("upwards", "downwards", "both")
+NEWTON_STEPS = 4
+"""Of finding when the drive has a phase; the phase between two samples is nearly straight."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PoincareSection:
+    """The points of one history in a section, in order of time."""
+
+    time: Float[np.ndarray, " points"]
+    """s."""
+    drive_phase: Float[np.ndarray, " points"]
+    """Phase of the drive, rad, from 0 to 2 pi."""
+    values: dict[str, Float[np.ndarray, " points"]]
+    """`displacement` (m) and `velocity` (m/s), and every observable with its `..._rate`."""
+    quantity: str
+    """What is drawn, or passes the level."""
+    level: float | None
+    """At which the quantity passes, in its unit; None: a section by the phase of the drive."""
+    direction: str
+    """Crossings counted: `upwards`, `downwards`, `both`; empty without a level."""
+
+    def __len__(self) -> int:
+        return self.time.size
+
+    @property
+    def title(self) -> str:
+        """What the section is, in words."""
+        if self.level is None:
+            phase = float(self.drive_phase[0]) if len(self) else 0.0
+            return f"once a drive period, at phase {phase:.4g} rad: {len(self)} points"
+        units, label = unit_and_label(self.quantity)
+        way = "crossed" if self.direction == "both" else f"crossed {self.direction}"
+        return f"{label} {self.level:g} {units} {way}: {len(self)} points"
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return a dataset over point, with units and long names."""
+        import xarray
+
+        columns = {"time": self.time, "drive_phase": self.drive_phase} | self.values
+        data = {}
+        for name, values in columns.items():
+            units, label = _told(name)
+            data[name] = ("point", values, {"units": units, "long_name": label})
+        attributes: dict[str, Any] = {"section": self.title, "quantity": self.quantity}
+        number = ("point", np.arange(1, len(self) + 1), described_as("point"))
+        return xarray.Dataset(data, {"point": number}, attrs=attributes)
+
+    @validated
+    def plot(self, x: str | None = None, y: str | None = None) -> "Figure":
+        """Draw one variable against another, by default the rate of the quantity against it.
+
+        Where the quantity has a given level: its rate against the phase of the drive. Raises
+        `ValueError` for a variable that is not there.
+
+        `x` and `y` are names of variables of the dataset: of the abscissa and the ordinate.
+        """
+        from vibrojax.plot.chirp import plot_section
+
+        rate = rate_name(self.quantity)
+        x = (self.quantity if self.level is None else "drive_phase") if x is None else x
+        return plot_section(self, x, rate if y is None else y)
+
+    @validated
+    def column(self, name: str) -> tuple[Float[np.ndarray, " points"], str]:
+        """Return a variable by name, and its label with its unit.
+
+        Raises `ValueError` for one that is not there.
+        """
+        columns = {"time": self.time, "drive_phase": self.drive_phase} | self.values
+        if name not in columns:
+            raise ValueError(f"Unknown variable {name!r}. {nearest(name, columns)}")
+        units, label = _told(name)
+        return columns[name], f"{label} ({units})"
+
+    def __repr__(self) -> str:
+        return f"PoincareSection({self.title}, {', '.join(self.values)})"
+
+
+def rate_name(quantity: str) -> str:
+    """Return the name of the rate of a quantity."""
+    named = {"displacement": "velocity", "strain_energy": "strain_power"}
+    return named.get(quantity, f"{quantity}_rate")
+
+
+def _told(name: str) -> tuple[str, str]:
+    if name == "time":
+        return "s", "Time"
+    if name.endswith("_rate"):
+        units, label = unit_and_label(name.removesuffix("_rate"))
+        return f"{units}/s", f"Rate of {label[:1].lower()}{label[1:]}"
+    return unit_and_label(name)
+
+
+def section_of(
+    history: "History",
+    quantity: str,
+    level: float | int | None,
+    direction: str,
+    phase: float | int,
+    start: float | int,
+) -> PoincareSection:
+    """Return a Poincaré section; see `History.poincare`."""
+    check_choice("direction", direction, DIRECTIONS)
+    equations = history.motion.equations
+    check_choice("quantity", quantity, ("displacement", *observables_of(equations)))
+    check_whole(history, "Poincaré sections")
+    time = np.asarray(history.time)
+    allowed = f"at most {time[-1]:.6g} s, the end of the history"
+    check_range("start", start, -np.inf, float(time[-1]), allowed=allowed)
+    if level is None:
+        check_range("phase", phase, allowed="a finite number of rad")
+        _, unit = history.system.drive.reference
+        if unit == "m":
+            raise ValueError(
+                "Nothing drives this system, so it has no phase: give a level to cut the motion by."
+            )
+        times = strobe_times(history, float(phase))
+    else:
+        check_range("level", level, allowed="a finite number")
+        times = crossings(curve_of(history, quantity), float(level), direction)
+    times = times[times >= start]
+    values: dict[str, Float[np.ndarray, " points"]] = {}
+    for name in ("displacement", *observables_of(equations)):
+        value, rate, second = (np.asarray(part) for part in observable_motion(history, name))
+        values[name] = curve_through(time, value, rate)(times)
+        values[rate_name(name)] = curve_through(time, rate, second)(times)
+    if level is None:
+        drive_phase = np.full(len(times), float(phase) % (2 * np.pi))
+    else:
+        at, _, _ = history.motion.waveform.phase(jnp.asarray(times))
+        drive_phase = np.asarray(at) % (2 * np.pi)
+    return PoincareSection(
+        time=times,
+        drive_phase=drive_phase,
+        values=values,
+        quantity=quantity,
+        level=None if level is None else float(level),
+        direction="" if level is None else direction,
+    )
+
+
+def strobe_times(history: "History", phase: float) -> Float[np.ndarray, " strobes"]:
+    """Return when the drive has a phase (rad, modulo 2 pi) within a history, s."""
+    time = np.asarray(history.time)
+    waveform = history.motion.waveform
+    turned = np.asarray(waveform.phase(jnp.asarray(time))[0])
+    slack = 1e-9  # of a period: the ends of a run are at whole periods to round-off
+    first = np.ceil((turned[0] - phase) / (2 * np.pi) - slack)
+    last = np.floor((turned[-1] - phase) / (2 * np.pi) + slack)
+    wanted = phase + 2 * np.pi * np.arange(first, last + 1)
+    times = np.interp(wanted, turned, time)
+    for _ in range(NEWTON_STEPS):
+        at, rate, _ = (np.asarray(part) for part in waveform.phase(jnp.asarray(times)))
+        times = np.clip(times - (at - wanted) / rate, time[0], time[-1])
+    return times

@@ -1,0 +1,366 @@
+"""Distance of a measured time history from the motions of many trial rigs at once.
+
+A steady motion is marched until it returns, as a sweep upwards and one downwards arrive at it,
+because two motions may coexist; then Newton's method closes it, so that derivatives are those of
+the steady state and not of a transient.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vibrojax.identification.history_motions import (
+    Passed,
+    Plan,
+    Rig,
+    make_rigs,
+    pass_through,
+    sampled_signals,
+    settle,
+)
+from vibrojax.measured.history import MeasuredHistory
+from vibrojax.model.drives import NoDrive
+from vibrojax.model.impacting_beam import ImpactingBeam
+from vibrojax.model.systems import AbstractSystem, LinearEquations
+from vibrojax.stepping.choice import is_exact
+
+WIDTH = 4
+"""Lanes that are computed together, filled up where there are fewer: one kernel for all numbers."""
+LOST = 1e3
+"""Residual of every sample of a rig without a motion, in standard deviations."""
+CLOSED = 1e-7
+"""Relative return of a steady motion."""
+GRID = 512
+"""Places of a motion among which its shift is sought first."""
+REACH = 0.1
+"""Largest shift of a free release, in lengths of the window."""
+MOST_ROUNDS = 12
+"""Corrections of the shift and of the state at the start."""
+
+
+class Data(NamedTuple):
+    """What each lane is compared with."""
+
+    time: np.ndarray
+    """Lanes by samples, s."""
+    values: np.ndarray
+    """Lanes by channels by samples."""
+    deviation: np.ndarray
+    """Lanes by channels."""
+
+    def standardised(self, signals: np.ndarray) -> np.ndarray:
+        """Divide signals, whose second axis is that of the residuals, by their deviations."""
+        each = np.repeat(self.deviation, self.time.shape[1], axis=1)
+        return signals / each.reshape(each.shape + (1,) * (signals.ndim - 2))
+
+
+class Trial(NamedTuple):
+    """Motions as they are, lane by lane, and where they should go."""
+
+    residual: np.ndarray
+    derivative: np.ndarray
+    cost: np.ndarray
+    closed: np.ndarray
+    stable: np.ndarray
+    shift: np.ndarray
+    """s."""
+    step: np.ndarray
+    """Change of the shift that lowers the cost most, s."""
+    change: np.ndarray
+    """What that does to the residuals, root mean square."""
+    following: np.ndarray
+    """Corrected state at the start."""
+
+
+def _tried(data: Data, passed: Passed, rigs: Rig, state, shift, names: int, plan: Plan) -> Trial:
+    lanes, n = state.shape
+    shown, end, slope, end_slope = (np.asarray(part) for part in passed)
+    numbers, along = slope[:, :, :names], slope[:, :, names]
+    measured = data.values.reshape(lanes, -1)
+    residual = data.standardised(measured - shown)
+    expected, following = residual, state
+    closed, stable = np.ones(lanes, bool), np.ones(lanes, bool)
+    if plan.begins == "settled":
+        by_state, monodromy = slope[:, :, names + 1 :], end_slope[:, :, names + 1 :]
+        finite = np.all(np.isfinite(monodromy), axis=(1, 2))
+        monodromy = np.where(finite.reshape(-1, 1, 1), monodromy, 0.0)
+        off = end - state
+        known = np.concatenate([end_slope[:, :, :names], off[:, :, None]], axis=2)
+        solved = np.linalg.solve(np.eye(n) - monodromy, known)
+        # The state moves with the numbers so that the motion stays closed.
+        numbers = numbers + by_state @ solved[:, :, :names]
+        following = state + solved[:, :, names]
+        expected = residual - data.standardised((by_state @ solved[:, :, names:])[:, :, 0])
+        weight = np.asarray(rigs.weight)
+        size = np.linalg.norm(weight * state, axis=1)
+        gone = np.linalg.norm(weight * off, axis=1)
+        closed = finite & np.asarray(gone <= CLOSED * size)
+        stable = np.max(np.abs(np.linalg.eigvals(monodromy)), axis=1) < 1 + 1e-6
+    derivative = -data.standardised(numbers)
+    step = change = np.zeros(lanes)
+    if plan.aligned:
+        along = -data.standardised(along)
+        square = np.sum(along**2, axis=1)
+        square = np.where(square > 0, square, 1.0)
+        step = -np.sum(along * expected, axis=1) / square
+        change = np.abs(step) * np.sqrt(square / along.shape[1])
+        # The shift follows the numbers: what it can make up for is no misfit.
+        share = np.einsum("ls,lsn->ln", along, derivative) / square[:, None]
+        derivative = derivative - along[:, :, None] * share[:, None, :]
+    cost = np.sum(residual**2, axis=1)
+    return Trial(residual, derivative, cost, closed, stable, shift, step, change, following)
+
+
+def _misfit_of_shifts(data: Data, lane: int, signals, places, shifts, wraps: bool) -> np.ndarray:
+    """Sum of squares for every shift (cells of the grid) of signals (channels, cells).
+
+    `places` are the measured times in cells; far samples are left out where there are many.
+    """
+    keep = slice(None, None, max(1, len(places) // 1000))
+    cells = signals.shape[1]
+    at = places[None, keep] + shifts[:, None]
+    at = np.mod(at, cells) if wraps else np.clip(at, 0, cells - 1)
+    low = np.minimum(np.floor(at).astype(int), cells - 1)
+    high = (low + 1) % cells if wraps else np.minimum(low + 1, cells - 1)
+    total = np.zeros(len(shifts))
+    for signal, value, deviation in zip(
+        signals, data.values[lane], data.deviation[lane], strict=True
+    ):
+        seen = signal[low] + (at - low) * (signal[high] - signal[low])
+        total += np.sum(((value[keep] - seen) / deviation) ** 2, axis=1)
+    return np.where(np.isfinite(total), total, np.inf)
+
+
+class HistoryMisfit:
+    """Misfit of a measured time history, as a function of the numbers of the user's function.
+
+    Residuals are (measured - model)/deviation at the measured times of the window, one channel
+    after another. A free release (`release`) starts at time 0, without drive unless a frequency is
+    given too; so does a driven motion that is not `settled`, from rest. A settled motion is the
+    steady state itself, of up to `LONGEST` drive periods; where sweeps upwards and downwards
+    arrive at two different ones, the one nearer to the data counts. With `align_phase`
+    every lane has its own shift of the time axis, the best one for its numbers.
+
+    Raises `ValueError` for a history the system cannot have.
+    """
+
+    def __init__(
+        self,
+        make: Callable[..., AbstractSystem],
+        names: tuple[str, ...],
+        fixed: dict[str, float],
+        static: dict[str, Any],
+        repetitions: Sequence[MeasuredHistory],
+    ):
+        self.make, self.names, self.fixed, self.static = make, names, fixed, static
+        first = repetitions[0]
+        parts = [history.windowed() for history in repetitions]
+        if len({(tuple(part.channels), part.size) for part in parts}) > 1:
+            raise ValueError(
+                "Repetitions of a history must have the same channels and as many samples in "
+                "their windows."
+            )
+        if not parts[0].size:
+            raise ValueError("There are no samples in the window of the history.")
+        channels = tuple(parts[0].channels)
+        noise = [history.noise().deviation for history in repetitions]
+        self.data = Data(
+            np.stack([part.time for part in parts]),
+            np.stack([np.stack([part.channels[c] for c in channels]) for part in parts]),
+            np.array([[found[c] for c in channels] for found in noise]),
+        )
+        self.plan = self._planned(first, channels)
+        given = [h.frequency_ratio if self.plan.is_ratio else h.frequency for h in repetitions]
+        self.frequency = np.array([1.0 if f is None else f for f in given])
+        self.release = np.array([h.release or 0.0 for h in repetitions])
+        self.shifts = np.zeros(0)
+        """Shifts of the lanes last computed (model time less measured time), s."""
+
+    @property
+    def size(self) -> int:
+        """How many residuals there are: channels times samples."""
+        return self.data.values[0].size
+
+    def _planned(self, history: MeasuredHistory, channels: tuple[str, ...]) -> Plan:
+        """Decide what is computed, by the kind of system, which needs no numbers."""
+
+        def planned(values):
+            named = dict(zip(self.names, values, strict=True))
+            return _plan(history, channels, self.make(**self.static, **self.fixed, **named))
+
+        return eqx.filter_eval_shape(planned, jnp.ones(len(self.names)))
+
+    def residuals(
+        self,
+        values: np.ndarray,
+        which: np.ndarray,
+        frequency_scale: float,
+        *,
+        precisely: bool = False,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals of all rigs (lanes by `size`) and their derivatives in the numbers.
+
+        `values` has lanes by numbers, `which` the repetition that every lane is compared with;
+        `frequency_scale` is not used. `precisely` goes on with shifts that would move only a
+        little more. A lane whose motion fails has residuals `LOST` and no derivative.
+        """
+        values, which = np.asarray(values, float), np.asarray(which, int)
+        residual = np.full((len(values), self.size), LOST)
+        derivative = np.zeros((len(values), self.size, len(self.names)))
+        self.shifts = np.full(len(values), np.nan)
+        sound = np.flatnonzero(np.isfinite(values).all(axis=1))
+        for k in range(0, len(sound), WIDTH):
+            own = sound[k : k + WIDTH]
+            index = np.resize(np.append(own, np.full(WIDTH, own[-1])), WIDTH)
+            with np.errstate(all="ignore"):
+                best, good = self._evaluate(values[index], which[index], precisely)
+            good = good[: len(own)]
+            kept, count = own[good], np.flatnonzero(good)
+            residual[kept], derivative[kept] = best.residual[count], best.derivative[count]
+            self.shifts[kept] = best.shift[count]
+        return residual, derivative
+
+    def _evaluate(self, values, which, precisely) -> tuple[Trial, np.ndarray]:
+        fixed = {name: jnp.full(len(values), v) for name, v in self.fixed.items()}
+        made = make_rigs(
+            self.make,
+            self.names,
+            self.static,
+            self.plan,
+            jnp.asarray(values),
+            fixed,
+            jnp.asarray(self.frequency[which]),
+            jnp.asarray(self.release[which]),
+        )
+        rigs = jax.device_get(made.rigs)
+        data = Data(*(part[which] for part in self.data))
+        if self.plan.begins == "settled":
+            state, period, shift, cell = self._steady(made.rigs, rigs, data)
+        else:
+            state, period = rigs.start, np.ones(len(values), np.int32)
+            shift, cell = self._begun(made.rigs, rigs, data)
+        enough = 1e-7 if precisely else 1e-3
+        best = self._refined(made, rigs, data, state, period, shift, 2 * cell, enough)
+        if self.plan.begins == "settled":
+            length = period * 2 * np.pi / rigs.angular_frequency
+            best = best._replace(shift=best.shift - np.round(best.shift / length) * length)
+        finite = np.isfinite(best.residual).all(axis=1)
+        finite &= np.isfinite(best.derivative).all(axis=(1, 2))
+        return best, finite & best.closed & best.stable
+
+    def _steady(self, made: Rig, rigs: Rig, data: Data):
+        """State, period, first shift (s) and its grain of the steady motion nearest to the data."""
+        visits, periods = jax.device_get(settle(made, self.plan))
+        one = 2 * np.pi / rigs.angular_frequency
+        best = np.full(len(one), np.inf)
+        state, period, shift = visits[0, 0].copy(), periods[0].copy(), np.zeros(len(one))
+        for start in range(2):
+            length = periods[start] * one
+            signals = sampled_signals(made, self.plan, visits[0, start], jnp.asarray(length), GRID)
+            signals = np.asarray(signals)
+            for k in range(len(one)):
+                places = data.time[k] / length[k] * GRID
+                turns = np.arange(periods[start, k])
+                shifts = np.arange(GRID) if self.plan.aligned else turns * GRID / len(turns)
+                costs = _misfit_of_shifts(data, k, signals[k], places, shifts, True)
+                place = int(np.argmin(costs))
+                if costs[place] < best[k]:
+                    best[k], period[k] = costs[place], len(turns)
+                    # Without a shift to find, a subharmonic may still begin at any drive period.
+                    back = 0 if self.plan.aligned else -place % len(turns)
+                    state[k] = visits[back, start, k]
+                    shift[k] = shifts[place] / GRID * length[k] if self.plan.aligned else 0.0
+        return state, period, shift, period * one / GRID
+
+    def _begun(self, made: Rig, rigs: Rig, data: Data) -> tuple[np.ndarray, np.ndarray]:
+        """First shift (s) and its grain of motions that have a beginning."""
+        lanes = len(rigs.angular_frequency)
+        if not self.plan.aligned:
+            return np.zeros(lanes), np.zeros(lanes)
+        reach = 2 * np.pi / rigs.angular_frequency
+        if self.plan.begins == "release":
+            reach = REACH * np.ptp(data.time, axis=1)
+        span = np.max(data.time, axis=1) + reach
+        whole = np.max(self.data.time[:, -1]) / np.min(np.diff(self.data.time))
+        count = int(np.clip(2 * whole, GRID, 8 * GRID))
+        signals = np.asarray(sampled_signals(made, self.plan, rigs.start, jnp.asarray(span), count))
+        shift, cell = np.zeros(lanes), span / count
+        for k in range(lanes):
+            most = int(reach[k] / cell[k])
+            shifts = np.arange(-most, most + 1)
+            places = data.time[k] / cell[k]
+            costs = _misfit_of_shifts(data, k, signals[k], places, shifts, False)
+            shift[k] = shifts[int(np.argmin(costs))] * cell[k]
+        return shift, cell
+
+    def _refined(self, made, rigs, data, state, period, shift, longest, enough) -> Trial:
+        """Close the motions and find their shifts, all lanes together."""
+        best, step = None, np.zeros(len(shift))
+        for _ in range(MOST_ROUNDS):
+            passed = jax.device_get(
+                pass_through(made.rigs, made.slopes, self.plan, data.time, state, shift, period)
+            )
+            here = _tried(data, passed, rigs, state, shift, len(self.names), self.plan)
+            better = np.ones(len(shift), bool)
+            if best is not None:
+                better = ~best.closed | (here.closed & (here.cost < best.cost))
+                here = jax.tree.map(
+                    lambda a, b, c=better: np.where(c.reshape(-1, *[1] * (a.ndim - 1)), a, b),
+                    here,
+                    best,
+                )
+            best = here
+            whole = np.isfinite(best.cost) & np.isfinite(best.following).all(axis=1)
+            whole &= np.isfinite(best.step)
+            # A step that went too far is tried again, shorter.
+            step = np.where(better, np.clip(best.step, -longest, longest), step / 4)
+            if np.all(~whole | (best.closed & ((best.change <= enough) | (step == 0)))):
+                break
+            step = np.where(whole, step, 0.0)
+            state = np.where(whole[:, None], best.following, state)
+            shift = np.where(whole, best.shift + step, shift)
+        assert best is not None
+        return best
+
+
+def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractSystem) -> Plan:
+    """Decide what is computed. Raises `ValueError` for a history the system cannot have."""
+    kind = type(system).__name__
+    if not isinstance(system.equations(), LinearEquations):
+        raise ValueError(
+            f"{kind} is not linear but for its stops: histories of such a system are not fitted."
+        )
+    if getattr(eqx.filter_eval_shape(system.equations), "memory_size", 0):
+        raise ValueError(
+            f"{kind} has a stop whose law has an internal state: histories of such a system are "
+            "not fitted."
+        )
+    beam = isinstance(system, ImpactingBeam)
+    if history.position is not None and not beam:
+        raise ValueError(
+            f"position = {history.position:g}: only a beam has positions along it, and this is a "
+            f"{kind}. Leave position out, and let its response_map be the sensor."
+        )
+    if history.release is not None and not beam:
+        raise ValueError(f"release is for the tip of an ImpactingBeam, and this is a {kind}.")
+    driven = history.frequency is not None or history.frequency_ratio is not None
+    if history.release is None and isinstance(system.drive, NoDrive):
+        raise ValueError(
+            "The history has a drive frequency, but the system has no drive. Give the system its "
+            "drive (BaseMotion or PointForce), or the history its release (m)."
+        )
+    begins = "settled" if history.settled else "rest"
+    return Plan(
+        channels=channels,
+        position=history.position,
+        absolute=history.frame == "absolute",
+        begins=begins if history.release is None else "release",
+        is_ratio=history.frequency is None,
+        driven=driven,
+        aligned=history.align_phase,
+        exact=is_exact(system),
+    )

@@ -1,0 +1,285 @@
+"""Motions of many trial rigs at the times of a measurement, with their derivatives.
+
+A motion is propagated from sample to sample, exactly where the stops are linear, and everything
+that decides it is carried along in forward mode: the numbers sought, the shift of the time axis
+and, of a steady motion, the state it starts from.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from vibrojax._tools.types import AnyArray
+from vibrojax.model.drives import AbstractDrive, BaseMotion, Harmonic, NoDrive
+from vibrojax.model.systems import LinearEquations, Motion, as_arrays
+from vibrojax.steady.starting import stepper
+from vibrojax.stepping import splitting
+from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
+from vibrojax.stepping.method import ExponentialSplitting
+
+lax = jax.lax
+
+LONGEST = 6
+"""Drive periods after which a steady motion may repeat."""
+MOST_PERIODS = 600
+APPROACH, APPROACH_PERIODS = 0.4, 150
+"""How far away the drive frequency starts, relative, and in how many periods it arrives."""
+RETURNED = 1e-4
+"""Relative return after which a march is left to Newton's method."""
+
+
+class Plan(NamedTuple):
+    """What is measured, and how the motion begins; all of it decided before anything compiles."""
+
+    channels: tuple[str, ...]
+    position: float | None
+    absolute: bool
+    begins: str
+    """`settled`, `rest` or `release`."""
+    is_ratio: bool
+    """Whether the drive frequency is a ratio to the first natural one; else Hz."""
+    driven: bool
+    aligned: bool
+    exact: bool
+
+
+class Rig(eqx.Module):
+    """A trial rig made ready: all that depends on its numbers."""
+
+    equations: LinearEquations
+    drive: AbstractDrive
+    phases: ContactPhases | None
+    """Propagators, where the stops are linear."""
+    angular_frequency: Float[Array, "..."]
+    """Of the drive, or of the first mode where nothing drives, rad/s."""
+    sensor: Float[Array, "*lanes coordinates"]
+    """Displacement at the sensor, by coordinate."""
+    start: Float[Array, "*lanes states"]
+    """(q, q') at rest or at release."""
+    weight: Float[Array, "*lanes states"]
+    """Weights that make states comparable: norms of weighted states are energies."""
+
+
+class Rigs(NamedTuple):
+    """Trial rigs, and their derivatives in the numbers sought."""
+
+    rigs: Rig
+    slopes: Rig
+
+
+class Passed(NamedTuple):
+    """Motions at the measured times, with derivatives along the last axis.
+
+    That axis has the numbers, the shift and, of steady motions, the state at the start.
+    """
+
+    values: Float[AnyArray, "lanes size"]
+    end: Float[AnyArray, "lanes states"]
+    """State after the period of the motion."""
+    derivative: Float[AnyArray, "lanes size directions"]
+    end_derivative: Float[AnyArray, "lanes states directions"]
+
+
+@eqx.filter_jit
+def make_rigs(make, names, static, plan, values, fixed, frequency, release) -> Rigs:
+    """Make the trial rigs with these numbers (lanes by names)."""
+
+    def one(values, fixed, frequency, release):
+        def build(values):
+            system = make(**static, **fixed, **dict(zip(names, values, strict=True)))
+            return _rig(system, plan, frequency, release)
+
+        rows = jnp.eye(len(names))
+        made, slopes = jax.vmap(
+            lambda row: eqx.filter_jvp(build, (values,), (row,)), out_axes=(None, 0)
+        )(rows)
+        fill = lambda a, b: jnp.zeros((len(names), *jnp.shape(a))) if b is None else b  # noqa: E731
+        return Rigs(made, jax.tree.map(fill, made, slopes))
+
+    return jax.vmap(one)(values, fixed, frequency, release)
+
+
+def _rig(system: Any, plan: Plan, frequency, release) -> Rig:
+    equations = system.equations()
+    unit = equations.angular_frequency[0] if plan.is_ratio else jnp.asarray(2 * jnp.pi)
+    sensor = equations.response_map
+    if plan.position is not None:
+        sensor = system.modes().shape(plan.position)
+    q = jnp.zeros(equations.size)
+    start = system.static_shape(release) if plan.begins == "release" else q
+    return Rig(
+        equations=equations,
+        drive=as_arrays(system.drive) if plan.driven else NoDrive(),
+        phases=contact_phases(equations) if plan.exact else None,
+        angular_frequency=frequency * unit,
+        sensor=sensor,
+        start=jnp.concatenate([start, q]),
+        weight=equations.energy_weight,
+    )
+
+
+def _motion(rig: Rig) -> Motion:
+    waveform = Harmonic(rig.angular_frequency / (2 * jnp.pi))
+    return Motion(rig.equations, rig.drive, waveform, rig.phases)
+
+
+def _advance(motion: Motion, exact: bool, start, duration, state):
+    """State (q, q') of one lane after a duration (s)."""
+    method = stepper(exact)
+    if not isinstance(method, ExponentialSplitting):
+        return method.advance(motion, start, duration, state, None)
+    assert isinstance(motion.equations, LinearEquations)
+    _, rate, _ = motion.waveform.phase(start)
+    per_period = splitting.steps_for(motion.equations, rate, jnp.asarray(method.tolerance))
+    # An interval of length zero would have no derivative.
+    duration = duration + 1e-12 / rate
+    steps = jnp.ceil(lax.stop_gradient(duration * per_period * rate) / (2 * jnp.pi))
+    steps = jnp.maximum(steps, 1.0).astype(jnp.int32)
+    part = duration / steps
+
+    def one(k, state):
+        return method.advance(motion, start + k * part, part, state, None)
+
+    return lax.fori_loop(0, steps, one, state)
+
+
+def _states(rig: Rig, exact: bool, state, times: Float[Array, " samples"]):
+    """States (samples, states) at rising times (s) from 0, where the state is given."""
+    motion = _motion(rig)
+
+    def step(carry, time):
+        state, before = carry
+        state = _advance(motion, exact, before, time - before, state)
+        return (state, time), state
+
+    _, states = lax.scan(step, (state, jnp.zeros_like(times[0])), times)
+    return states
+
+
+def _signals(rig: Rig, plan: Plan, times, states) -> Float[Array, "channels samples"]:
+    """What the sensors show."""
+    motion = _motion(rig)
+    equations = motion.sharp_equations()
+    moving = plan.absolute and isinstance(rig.drive, BaseMotion)
+    base = rig.drive.amplitude if isinstance(rig.drive, BaseMotion) and moving else 0.0
+    w = rig.angular_frequency
+
+    def read(time, state):
+        q, v = jnp.split(state, 2)
+        angle = w * time
+        shown = []
+        for name in plan.channels:
+            if name == "displacement":
+                shown.append(rig.sensor @ q + base * jnp.sin(angle))
+            elif name == "velocity":
+                shown.append(rig.sensor @ v + base * w * jnp.cos(angle))
+            elif name == "acceleration":
+                push = rig.drive.input(motion.waveform, time)
+                a = rig.sensor @ equations.acceleration(q, v, push)
+                shown.append(a - base * w**2 * jnp.sin(angle))
+            else:
+                shown.append(jnp.sum(equations.contact_forces(q, v)))
+        return jnp.stack(shown)
+
+    return jax.vmap(read)(times, states).T
+
+
+@eqx.filter_jit
+def settle(
+    rigs: Rig, plan: Plan
+) -> tuple[Float[Array, "visits 2 lanes states"], Int[Array, "2 lanes"]]:
+    """March until the motion returns, the frequency coming from below and from above.
+
+    So each lane arrives as a sweep does, and two motions that coexist are both found.
+
+    Returns the last states at drive phase 0, the latest first, and the drive periods after which
+    they return.
+    """
+    march = jax.vmap(stepper(plan.exact).prepare, out_axes=-1)(
+        *jax.tree.map(lambda a: jnp.concatenate([a, a]), (rigs.equations, rigs.drive))
+    )
+    w = jnp.concatenate([rigs.angular_frequency, rigs.angular_frequency])
+    weight = march.energy_weight()
+    once = jnp.ones(w.shape, jnp.int32)
+    side = jnp.repeat(jnp.array([-APPROACH, APPROACH]), w.size // 2)
+    history = jnp.zeros((LONGEST + 1, *weight.shape))
+
+    def step(carry):
+        history, count, _ = carry
+        off = side * jnp.maximum(1 - count / APPROACH_PERIODS, 0.0)
+        state, _, _ = march(history[0] / weight, w * (1 + off), once, False)
+        history = jnp.concatenate([(state * weight)[None], history[:-1]])
+        size = jnp.linalg.norm(history[0], axis=0)
+        gone = jnp.linalg.norm(history[1:] - history[0], axis=1) / size
+        return history, count + 1, gone
+
+    def on(carry):
+        _, count, gone = carry
+        unsettled = jnp.any(jnp.all(gone > RETURNED, axis=0))
+        return (count < MOST_PERIODS) & ((count < APPROACH_PERIODS + LONGEST) | unsettled)
+
+    start = history, 0, jnp.full((LONGEST, w.size), jnp.inf)
+    history, _, gone = lax.while_loop(on, step, start)
+    # One that does not return is left to Newton's method as a motion of one period.
+    returned = jnp.any(gone <= RETURNED, axis=0)
+    period = jnp.where(returned, jnp.argmax(gone <= RETURNED, axis=0), 0) + 1
+    states = jnp.moveaxis(history / weight, 1, -1)
+    states = states.reshape(len(states), 2, -1, states.shape[-1])
+    return states, period.reshape(2, -1).astype(jnp.int32)
+
+
+@eqx.filter_jit
+def sampled_signals(rigs: Rig, plan: Plan, state, span, count: int):
+    """Signals (lanes, channels, count) at equal intervals from time 0 over a span (s)."""
+
+    def one(rig, state, span):
+        times = span * jnp.arange(count) / count
+        return _signals(rig, plan, times, _states(rig, plan.exact, state, times))
+
+    return jax.vmap(one)(rigs, state, span)
+
+
+@eqx.filter_jit
+def pass_through(rigs: Rig, slopes: Rig, plan: Plan, time, state, shift, period) -> Passed:
+    """Pass through the measured times (lanes, samples), each moved by the shift (s) of its lane.
+
+    `state` and `period` (drive periods) are those of a steady motion at drive phase 0.
+    """
+
+    def one(rig, slope, time, state, shift, period):
+        settled = plan.begins == "settled"
+
+        def model(rig, shift, state):
+            at = time + shift
+            length = period * 2 * jnp.pi / rig.angular_frequency
+            if settled:
+                at = at - lax.stop_gradient(jnp.floor(at / length)) * length
+            held = at < 0  # before it is let go
+            at = jnp.maximum(at, 0.0)
+            order = jnp.argsort(at)
+            rising = jnp.append(at[order], length) if settled else at[order]
+            states = _states(rig, plan.exact, state if settled else rig.start, rising)
+            shown = _signals(rig, plan, at, states[jnp.argsort(order)])
+            if "acceleration" in plan.channels:
+                row = plan.channels.index("acceleration")
+                shown = shown.at[row].set(jnp.where(held, 0.0, shown[row]))
+            return shown.reshape(-1), states[-1]
+
+        numbers, n = slope.angular_frequency.size, state.size if settled else 0
+        rows = numbers + 1 + n
+        after = lambda a: jnp.concatenate([a, jnp.zeros((rows - numbers, *a.shape[1:]))])  # noqa: E731
+        unit = jnp.eye(rows)
+        tangents = (
+            jax.tree.map(after, slope),
+            unit[:, numbers],
+            unit[:, numbers + 1 :] if settled else jnp.zeros((rows, state.size)),
+        )
+        (values, end), (d, e) = jax.vmap(
+            lambda t: jax.jvp(model, (rig, shift, state), t), out_axes=(None, -1)
+        )(tangents)
+        return Passed(values, end, d, e)
+
+    return jax.vmap(one)(rigs, slopes, time, state, shift, period)

@@ -1,0 +1,358 @@
+"""The answer of an identification: estimates, what is known of them, and how they fit."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import ArrayLike
+
+from vibrojax._tools.checks import check_index
+from vibrojax._tools.described import recipe
+from vibrojax._tools.files import path_of
+from vibrojax._tools.signatures import validated
+from vibrojax.results.saving import whole_files
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+    from vibrojax.branches.branch import Branch
+    from vibrojax.identification.posterior import Posterior
+    from vibrojax.identification.profile import Profile
+    from vibrojax.identification.what_next import WhatNext
+    from vibrojax.measured.curve import MeasuredCurve
+    from vibrojax.measured.history import MeasuredHistory
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another minimum of the misfit."""
+
+    estimate: dict[str, float]
+    reduced_chi_square: float
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One measurement as the fitted rig gives it."""
+
+    residual: np.ndarray
+    """Of a curve, distance of every point over its standard deviation, with the sign of the
+    amplitude's part; of a history, of every channel and sample."""
+    frequency: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """Points along the fitted curve."""
+    channels: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    """What the sensor shows there: amplitude, then contact force, where measured."""
+    unstable: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    """Whether a point lies between two folds."""
+    continues: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    """Whether the next point continues this one."""
+    folds: dict[str, np.ndarray] = field(default_factory=dict)
+    """Where a `forward` and a `backward` sweep would jump."""
+
+
+@dataclass(frozen=True, repr=False)
+class Identification:
+    """What `identify` found. Dictionaries are by name of the number that was fitted."""
+
+    estimate: dict[str, float]
+    """Best value, in the unit of the argument of the rig function."""
+    interval: dict[str, tuple[float, float]]
+    """Confidence intervals (95 % unless asked otherwise); one-sided where data only bound."""
+    identifiability: dict[str, str]
+    """`identifiable`, or what the data can and cannot say."""
+    identifiable: dict[str, bool]
+    """Whether the data tell the number; `identifiability` says why not."""
+    standard_deviation: dict[str, float]
+    """To first order; infinite for what the data do not know."""
+    covariance: np.ndarray
+    """In the coordinates of the search (`coordinates` says which): unknowns by unknowns."""
+    correlation: np.ndarray
+    """Correlation of the estimates, unknowns by unknowns."""
+    chi_square: float
+    """Sum of the squared residuals, each over its standard deviation."""
+    degrees_of_freedom: int
+    """Values measured less numbers fitted."""
+    confidence: float
+    """Probability of the intervals, such as 0.95."""
+    measured: "tuple[MeasuredCurve | MeasuredHistory, ...]"
+    """What was fitted, in the order given."""
+    predictions: tuple[Prediction, ...]
+    """One for every measurement."""
+    influence: tuple[np.ndarray, ...]
+    """By how many standard deviations each number would move without a point: points by numbers."""
+    alternatives: tuple[Alternative, ...]
+    """Other minima that were found, the best first."""
+    warnings: tuple[str, ...]
+    """What to know before believing the numbers, a sentence each."""
+    notes: tuple[str, ...]
+    """What was assumed or guessed."""
+    evaluations: int
+    """Response curves (of all measurements) that were followed."""
+    asked: Any
+    """What `identify` was asked for; with it the rig is made again."""
+    problem: Any
+    """The least squares that were solved, in the coordinates of the search."""
+    repetition: int
+    """Number of this fit in `identify_each`, from 0."""
+    frequency_scale: float
+    """Scale of frequency differences, as a share of the first natural frequency."""
+    point: np.ndarray
+    """The estimate in the coordinates of the search."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The numbers that were fitted."""
+        return tuple(self.estimate)
+
+    @property
+    def reduced_chi_square(self) -> float:
+        """Misfit per degree of freedom: about 1 where model and deviations are right."""
+        return self.chi_square / self.degrees_of_freedom
+
+    @property
+    def coordinates(self) -> dict[str, str]:
+        """Coordinate in which each number moved: `log`, `asinh` or `linear`."""
+        return {c.name: c.kind for c in self.problem.coordinates}
+
+    @validated
+    def residuals(self, direction: str | None = None, measurement: int = 0) -> np.ndarray:
+        """Residuals of one measurement; of a curve, of the `forward` or `backward` sweep only.
+
+        Shape (values of the measurement,), each over its standard deviation. Parameters:
+            direction: `forward` or `backward`; None: all.
+            measurement: from 0, in the order given.
+
+        Raises `ValueError` for another direction, or a measurement that is not there.
+        """
+        check_index("measurement", measurement, len(self.measured))
+        values = self.predictions[measurement].residual
+        if direction is None:
+            return values
+        ways = {"forward": 1, "backward": -1}
+        if direction not in ways:
+            raise ValueError(f"direction must be 'forward' or 'backward', got {direction!r}.")
+        measured: Any = self.measured[measurement]
+        return values[measured.direction == ways[direction]]
+
+    @validated
+    def system(self, measurement: int = 0) -> Any:
+        """Return the fitted rig.
+
+        With the arguments that hold for one `measurement` (from 0). Raises `ValueError` when there
+        is none.
+        """
+        from vibrojax.identification.setting_up import own_name
+
+        check_index("measurement", measurement, len(self.measured))
+        asked, measured = self.asked, self.measured[measurement]
+        arguments = dict.fromkeys(asked.arguments.values())
+        fitted = {n: self.estimate[own_name(asked, n, measured, measurement)] for n in arguments}
+        return asked.make(**asked.numbers, **measured.parameters, **fitted)
+
+    @validated
+    def branch(self, measurement: int = 0) -> "Branch":
+        """Follow the fitted curve by `continue_response`: exact, with its stability.
+
+        `measurement` counts from 0, in the order given. Raises `ValueError` when there is none, or
+        it is a history, which has no curve.
+        """
+        from vibrojax.branches.continue_response import continue_response
+
+        check_index("measurement", measurement, len(self.measured))
+        measured: Any = self.measured[measurement]
+        if not hasattr(measured, "frequency_name"):
+            raise ValueError(f"measurement must be that of a curve, got {measurement}: a history.")
+        frequency = measured.frequency
+        along: Any = {measured.frequency_name: (0.98 * frequency.min(), 1.02 * frequency.max())}
+        branch: Any = continue_response(self.system(measurement), **along)
+        return branch
+
+    @validated
+    def profile(self, name: str, *, points: int = 9, reach: float = 2.5) -> "Profile":
+        """Profile likelihood of one number: fixed at values around its estimate, others refitted.
+
+        `points` values over `reach` standard deviations each way. Raises `ValueError` for a name
+        that was not fitted, fewer than 5 points, or a reach not above 0.
+        """
+        from vibrojax.identification.profiling import profile
+
+        return profile(self, name, points=points, reach=reach)
+
+    @validated
+    def sample(self, draws: int = 1000, *, seed: int = 0) -> "Posterior":
+        """Sample the posterior with blackjax: 256 evaluations, independent proposals.
+
+        The prior is uniform in the logarithm of what moves in log, else in the number.
+
+        Raises `ImportError` without blackjax, which is optional: `pip install "vibrojax[sample]"`.
+
+        `draws` is the number of draws returned, `seed` that of the random numbers.
+        """
+        from vibrojax.identification.sampling import sample
+
+        return sample(self, draws, seed=seed)
+
+    @validated
+    def what_next(self, name: str, **changes: ArrayLike | Sequence[float]) -> "WhatNext":
+        """Say which further points would sharpen one number most.
+
+        `changes` are other rigs that could be measured: arguments of the function with lists of
+        values, as gap=[0.3e-3, 0.5e-3]. Raises `ValueError` for a name that was not fitted.
+        """
+        from vibrojax.identification.planning import what_next
+
+        return what_next(self, name, **changes)
+
+    @validated
+    def plot(self, measurement: int = 0) -> "Figure":
+        """Draw the fitted curve over the measured points, the residuals and the estimates.
+
+        `measurement` counts from 0, in the order given. Raises `ValueError` when there is none.
+        """
+        from vibrojax.plot.identification import plot_identification
+
+        check_index("measurement", measurement, len(self.measured))
+        return plot_identification(self, measurement)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return estimates over `parameter`, and points and curve of every curve measured."""
+        import xarray
+
+        names = list(self.names)
+        data: dict[str, Any] = {
+            "estimate": ("parameter", list(self.estimate.values())),
+            "interval": (("parameter", "end"), [self.interval[n] for n in names]),
+            "standard_deviation": ("parameter", [self.standard_deviation[n] for n in names]),
+            "identifiable": ("parameter", [self.identifiable[n] for n in names]),
+            "identifiability": ("parameter", [self.identifiability[n] for n in names]),
+            "correlation": (("parameter", "other_parameter"), self.correlation),
+        }
+        described = {"long_name": "Fitted number", "units": "SI, as the rig's argument"}
+        for name in ("estimate", "interval", "standard_deviation"):
+            data[name] = (*data[name], described)
+        for k, (m, p) in enumerate(zip(self.measured, self.predictions, strict=True)):
+            end = "" if len(self.measured) == 1 else f"_{k}"
+            residual = {"long_name": "Distance over standard deviation", "units": "1"}
+            data[f"residual{end}"] = (f"point{end}", p.residual, residual)
+            frequency = getattr(m, "frequency", None)
+            if not len(p.frequency) or frequency is None:
+                continue
+            curve: Any = m
+            unit = {"units": "1" if curve.frequency_name == "frequency_ratio" else "Hz"}
+            at = {"long_name": "Drive frequency", **unit}
+            data[f"measured_frequency{end}"] = (f"point{end}", curve.frequency, at)
+            data[f"direction{end}"] = (f"point{end}", curve.direction, {"long_name": "Sweep"})
+            data[f"curve_frequency{end}"] = (f"curve_point{end}", p.frequency, at)
+            for c, (name, values, units) in enumerate(_channels(curve)):
+                about = {"long_name": name.replace("_", " ").capitalize(), "units": units}
+                data[f"measured_{name}{end}"] = (f"point{end}", values, about)
+                data[f"curve_{name}{end}"] = (f"curve_point{end}", p.channels[:, c], about)
+            data[f"influence{end}"] = (
+                (f"point{end}", "parameter"),
+                self.influence[k],
+                {"long_name": "Change of the number without the point over its deviation"},
+            )
+        coordinates = {"parameter": names, "other_parameter": names, "end": ["low", "high"]}
+        return xarray.Dataset(data, coordinates, attrs=self._attributes())
+
+    def _attributes(self) -> dict[str, Any]:
+        return {
+            "title": "vibrojax identification",
+            "reduced_chi_square": self.reduced_chi_square,
+            "degrees_of_freedom": self.degrees_of_freedom,
+            "confidence": self.confidence,
+            "objective": self.asked.objective,
+            "warnings": "\n".join(self.warnings),
+            "notes": "\n".join(self.notes),
+            "rig": recipe(self.system()),
+            "vibrojax_version": version("vibrojax"),
+            "jax_version": version("jax"),
+        }
+
+    def report(self) -> dict[str, Any]:
+        """Return everything a report needs, in plain types."""
+        return {
+            "parameters": {
+                n: {
+                    "estimate": self.estimate[n],
+                    "interval": [_plain(end) for end in self.interval[n]],
+                    "standard_deviation": _plain(self.standard_deviation[n]),
+                    "identifiability": self.identifiability[n],
+                    "coordinate": self.coordinates[n],
+                }
+                for n in self.names
+            },
+            "correlation": self.correlation.tolist(),
+            "chi_square": self.chi_square,
+            "alternatives": [
+                {"estimate": a.estimate, "reduced_chi_square": a.reduced_chi_square}
+                for a in self.alternatives
+            ],
+            "measurements": [
+                {"label": m.label, "points": m.size, "parameters": m.parameters}
+                for m in self.measured
+            ],
+            "evaluations": self.evaluations,
+            **self._attributes(),
+            "warnings": list(self.warnings),
+            "notes": list(self.notes),
+        }
+
+    @validated
+    def save(self, path: str | Path) -> tuple[Path, Path]:
+        """Write the report as JSON and the picture as PNG beside it; returns both paths.
+
+        `path` is that of either file; its ending is exchanged. Both take their places, or none.
+        Raises `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
+        """
+        path = path_of("path", path)
+        data, picture = path.with_suffix(".json"), path.with_suffix(".png")
+        with whole_files(data, picture) as (report, drawing):
+            assert report is not None
+            assert drawing is not None
+            report.write_text(json.dumps(self.report(), indent=2) + "\n")
+            self.plot().savefig(drawing, format="png", dpi=150)
+        return data, picture
+
+    def __repr__(self) -> str:
+        width = max(len(n) for n in self.names)
+        points = sum(m.size for m in self.measured)
+        lines = [
+            f"Identification({len(self.names)} numbers from {points} points in "
+            f"{len(self.measured)} measurement{'s' * (len(self.measured) > 1)})"
+        ]
+        for n in self.names:
+            low, high = self.interval[n]
+            lines.append(
+                f"  {n:<{width}}  {self.estimate[n]:.5g}   {100 * self.confidence:g} % interval "
+                f"{low:.5g} to {high:.5g}   {self.identifiability[n]}"
+            )
+        lines.append(
+            f"  reduced chi-square {self.reduced_chi_square:.3f} "
+            f"({self.degrees_of_freedom} degrees of freedom), {self.evaluations} evaluations"
+        )
+        for a in self.alternatives[:3]:
+            numbers = ", ".join(f"{n} {v:.4g}" for n, v in a.estimate.items())
+            lines.append(f"  another minimum: {numbers} (chi-square {a.reduced_chi_square:.3g})")
+        lines += [f"  Warning: {w}" for w in self.warnings]
+        lines += [f"  Note: {n}" for n in self.notes]
+        return "\n".join(lines)
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _channels(curve: "MeasuredCurve") -> list[tuple[str, np.ndarray, str]]:
+    """Return name, measured values and unit of the channels of a curve, in order."""
+    rows = []
+    if curve.amplitude is not None:
+        rows.append((curve.quantity, curve.amplitude, curve.unit))
+    if curve.contact_force is not None:
+        rows.append(("contact_force", curve.contact_force, "N"))
+    return rows

@@ -1,0 +1,99 @@
+"""What a sensor shows of a balanced motion: one number per channel, as it stands on its axis."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from vibrojax.model.drives import BaseMotion
+from vibrojax.steady.condensed import Problem, cell_average, differentiate
+from vibrojax.steady.paths import Place
+from vibrojax.stepping.elementary import cubic_maximum
+
+ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2}
+FINER = 2
+"""How many times finer than the balance a waveform is looked at."""
+
+
+class Sensor(eqx.Module):
+    """What is measured of a periodic motion; all of it decided before anything compiles."""
+
+    quantity: str | None = eqx.field(static=True, default="amplitude")
+    """`amplitude` (half of peak to peak), `peak`, `peak_to_peak`, `rms` or `first_harmonic`.
+
+    None where only the contact force is measured.
+    """
+    signal: str = eqx.field(static=True, default="displacement")
+    """`displacement`, `velocity` or `acceleration`."""
+    is_ratio: bool = eqx.field(static=True, default=True)
+    """Divided by the drive amplitude; else in SI units."""
+    absolute: bool = eqx.field(static=True, default=False)
+    """In space, not relative to the base."""
+    with_force: bool = eqx.field(static=True, default=False)
+    """Whether the largest contact force (N) is measured too, as the last channel."""
+
+    @property
+    def channels(self) -> int:
+        """How many numbers there are per point."""
+        return (self.quantity is not None) + self.with_force
+
+
+def observe(
+    sensor: Sensor,
+    place: Place,
+    problem: Problem,
+    force: Complex[Array, "stops harmonics"],
+    depth: Complex[Array, "stops harmonics"],
+    period: int,
+) -> Float[Array, " channels"]:
+    """Read the channels of a sensor off a balanced motion and its averaged contact force."""
+    count = depth.shape[-1]
+    samples = 2 * (count - 1)
+    average = cell_average(samples, count)
+    values = []
+    if sensor.quantity is not None:
+        push = jnp.einsum("bk,bk->k", problem.receptance.response_from_force, force / average)
+        values.append(_shown(sensor, place, problem.response_drive + push, period))
+    if sensor.with_force:
+        per_second = samples / period * place.angular_frequency / (2 * jnp.pi)
+        values.append(_largest_force(place, depth / average, per_second))
+    return jnp.stack(values)
+
+
+def _shown(sensor: Sensor, place: Place, spectrum: Complex[Array, " harmonics"], period: int):
+    samples = 2 * (spectrum.size - 1)
+    if sensor.absolute and isinstance(place.drive, BaseMotion):
+        spectrum = spectrum.at[period].add(-0.5j * place.drive.amplitude * samples)
+    base = place.angular_frequency / period * np.arange(spectrum.size)
+    spectrum = spectrum * (1j * base) ** ORDERS[sensor.signal]
+    if sensor.is_ratio:
+        spectrum = spectrum / place.drive.reference[0]
+    if sensor.quantity == "first_harmonic":
+        return 2 / samples * jnp.abs(spectrum[period])
+    # The highest harmonic has no phase at the samples: it is left out.
+    finer, spectrum = FINER * samples, FINER * spectrum.at[-1].set(0.0)
+    if sensor.quantity == "rms":
+        return jnp.sqrt(jnp.mean(jnp.fft.irfft(spectrum, finer) ** 2))
+    slope = 1j * np.arange(spectrum.size) * (2 * np.pi / finer) * spectrum
+    wave, change = jnp.fft.irfft(jnp.stack([spectrum, slope]), finer)
+    high, low = _highest(wave, change), _highest(-wave, -change)
+    if sensor.quantity == "peak":
+        return jnp.maximum(high, low)
+    return (high + low) / (1.0 if sensor.quantity == "peak_to_peak" else 2.0)
+
+
+def _highest(wave: Float[Array, " samples"], change: Float[Array, " samples"]):
+    return jnp.max(cubic_maximum(wave, change, jnp.roll(wave, -1), jnp.roll(change, -1)))
+
+
+def _largest_force(place: Place, motion: Complex[Array, "stops harmonics"], per_second):
+    samples = 2 * (motion.shape[-1] - 1)
+    finer = 4 * FINER * samples
+    motion = 4 * FINER * motion.at[:, -1].set(0.0)
+    slope = differentiate(motion, samples) / (4 * FINER)
+    value, change = jnp.fft.irfft(jnp.stack([motion, slope]), finer)
+    per_second = 4 * FINER * per_second
+    forces = [
+        stop.force(value[a], change[a] * per_second) for a, stop in enumerate(place.equations.stops)
+    ]
+    return jnp.max(jnp.stack(forces))

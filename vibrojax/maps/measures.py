@@ -1,0 +1,214 @@
+"""What a curve comes to: peak, jumps, hysteresis, forces, or whatever the user asks."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vibrojax._tools.checks import nearest
+from vibrojax.regime.kinds import Regime
+from vibrojax.results.status import Status
+
+Curve = dict[str, Any]
+"""Arrays of one lane by name: variables of the response over (direction, frequency), the frequency
+axis, and numbers such as jump_up and natural_frequency."""
+
+Measures = (
+    str
+    | Callable[[Curve], Any]
+    | Sequence[str | Callable[[Curve], Any]]
+    | Mapping[str, str | Callable[[Curve], Any]]
+)
+"""What a map may be asked to keep: names or functions, one or a list, or by name."""
+
+PLACES = 4
+"""Folds or first touches kept of a branch."""
+
+
+class Measure(NamedTuple):
+    """One number per lane."""
+
+    name: str
+    function: Callable[[Curve], Any]
+    own: bool
+    """Whether it is vibrojax's own, which JAX can trace."""
+
+
+def _peak_amplitude_ratio(curve: Curve) -> Any:
+    return jnp.nanmax(curve["amplitude_ratio"])
+
+
+def _largest_contact_force(curve: Curve) -> Any:
+    return jnp.nanmax(curve["contact_force"])
+
+
+def _peak_frequency(curve: Curve) -> Any:
+    amplitude = curve["amplitude_ratio"]
+    amplitude = amplitude.reshape(-1, amplitude.shape[-1])
+    highest = jnp.max(jnp.where(jnp.isnan(amplitude), -jnp.inf, amplitude), axis=0)
+    at = curve["frequencies"][jnp.argmax(highest)]
+    return jnp.where(jnp.isfinite(highest).any(), at, jnp.nan)
+
+
+def _resonance_shift(curve: Curve) -> Any:
+    return _peak_frequency(curve) / curve["unit_frequency"] - 1.0
+
+
+def _hysteresis_width(curve: Curve) -> Any:
+    if "fold" in curve:
+        width = jnp.nanmax(curve["fold"]) - jnp.nanmin(curve["fold"])
+    else:
+        width = jnp.abs(curve["jump_down"] - curve["jump_up"])
+    return jnp.where(jnp.isnan(width), 0.0, width)
+
+
+def _hysteresis_area(curve: Curve) -> Any:
+    forward, backward = curve["amplitude_ratio"]
+    return jnp.trapezoid(jnp.abs(forward - backward), curve["frequencies"])
+
+
+def _aperiodic_fraction(curve: Curve) -> Any:
+    return jnp.mean(curve["status"] == Status.aperiodic.value)
+
+
+def _fraction(kind: Regime) -> Callable[[Curve], Any]:
+    return lambda curve: jnp.mean(curve["regime"] == kind.value)
+
+
+def _largest(name: str) -> Callable[[Curve], Any]:
+    return lambda curve: jnp.nanmax(curve[name])
+
+
+def _most_attractors(curve: Curve) -> Any:
+    return jnp.max(curve["attractors"])
+
+
+def _least_periodic_share(curve: Curve) -> Any:
+    return jnp.min(curve["periodic_share"])
+
+
+def _given(name: str) -> Callable[[Curve], Any]:
+    return lambda curve: curve[name]
+
+
+FUNCTIONS: dict[str, Callable[[Curve], Any]] = {
+    "peak_amplitude_ratio": _peak_amplitude_ratio,
+    "peak_frequency": _peak_frequency,
+    "resonance_shift": _resonance_shift,
+    "largest_contact_force": _largest_contact_force,
+    "chaotic_fraction": _fraction(Regime.chaotic),
+    "periodic_fraction": _fraction(Regime.periodic),
+    "largest_lyapunov_exponent": _largest("lyapunov_exponent"),
+    "largest_strain_power": _largest("strain_power_rms"),
+    "jump_up": _given("jump_up"),
+    "jump_down": _given("jump_down"),
+    "hysteresis_width": _hysteresis_width,
+    "hysteresis_area": _hysteresis_area,
+    "aperiodic_fraction": _aperiodic_fraction,
+    "most_attractors": _most_attractors,
+    "least_periodic_share": _least_periodic_share,
+    "natural_frequency": _given("natural_frequency"),
+    "fold": _given("fold"),
+    "grazing": _given("grazing"),
+}
+PLACED = ("fold", "grazing")
+"""Measures with several values per lane."""
+STEPWISE = (
+    "peak_frequency",
+    "resonance_shift",
+    "aperiodic_fraction",
+    "grazing",
+    "chaotic_fraction",
+    "periodic_fraction",
+    "largest_lyapunov_exponent",
+    "largest_strain_power",
+    "most_attractors",
+    "least_periodic_share",
+)
+"""Measures without a derivative: read off the grid, counted, or averaged over a march."""
+
+
+def measures_of(asked: Any, offered: tuple[str, ...]) -> tuple[Measure, ...]:
+    """Return the measures that were asked for, by name or as functions.
+
+    Raises `ValueError` for a name that is unknown or that this response has not, a name that is
+    given twice, or what is neither name nor function.
+    """
+    if asked is None:
+        asked = offered
+    if isinstance(asked, str) or callable(asked):
+        asked = (asked,)
+    pairs = asked.items() if isinstance(asked, Mapping) else [(None, one) for one in asked]
+    found: list[Measure] = []
+    for name, one in pairs:
+        if isinstance(one, str):
+            if one not in offered:
+                reason = " for this response" if one in FUNCTIONS else ""
+                raise ValueError(
+                    f"Unknown measure {one!r}{reason} in measures. {nearest(one, offered)}"
+                )
+            found.append(Measure(one, FUNCTIONS[one], True))
+            continue
+        if not callable(one):
+            raise ValueError(f"measures must be names or functions of a curve, got {one!r}.")
+        name = getattr(one, "__name__", "") if name is None else name
+        if not str(name).isidentifier():
+            raise ValueError(
+                "A function without a name needs one: measures={'name': function, ...}, got "
+                f"{one!r}."
+            )
+        found.append(Measure(str(name), one, False))
+    names = [m.name for m in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"The measure {name!r} is asked for twice.")
+    return tuple(found)
+
+
+class _Own:
+    """The library's own measures, compiled once for each."""
+
+    def __init__(self) -> None:
+        self.compiled: dict[str, Any] = {}
+
+    def __call__(self, measure: Measure, curves: Curve, shared: Curve) -> Any:
+        if measure.name not in self.compiled:
+
+            def all_lanes(curves: Curve, shared: Curve) -> Any:
+                return jax.vmap(lambda own: measure.function(own | shared))(curves)
+
+            self.compiled[measure.name] = jax.jit(all_lanes)
+        return self.compiled[measure.name](curves, shared)
+
+
+_own = _Own()
+
+
+def measure_lanes(
+    measures: tuple[Measure, ...], curves: Curve, shared: Curve
+) -> dict[str, np.ndarray]:
+    """Return every measure of all lanes; arrays of `curves` have the lanes leading.
+
+    Raises `ValueError` for a function that does not return one number.
+    """
+    found: dict[str, np.ndarray] = {}
+    for measure in measures:
+        if measure.own:
+            found[measure.name] = np.asarray(_own(measure, curves, shared))
+            continue
+        count = len(next(iter(curves.values())))
+        lanes = ({name: a[k] for name, a in curves.items()} | shared for k in range(count))
+        found[measure.name] = np.array([_number(measure, lane) for lane in lanes], float)
+    return found
+
+
+def _number(measure: Measure, curve: Curve) -> float:
+    value = measure.function(curve)
+    if np.ndim(value):
+        raise ValueError(
+            f"The measure {measure.name!r} must return one number for a curve, got an array of "
+            f"shape {np.shape(value)}."
+        )
+    return float(value)

@@ -1,0 +1,221 @@
+"""What a map is known by: settings, rigs and functions, as its store keeps them."""
+
+import json
+from collections.abc import Callable
+from importlib.metadata import version
+from typing import Any
+
+import equinox as eqx
+import jax
+
+from vibrojax._tools.described import recipe
+from vibrojax.maps.basin_fractions import BasinFractions
+from vibrojax.maps.rig_maker import RigMaker
+from vibrojax.maps.store_files import digest
+from vibrojax.maps.told_apart import identity_of, source_of, value_digest
+from vibrojax.maps.work import MapSpec
+from vibrojax.model.systems import AbstractSystem
+
+FORMAT = 2
+"""Changes when older stores cannot be continued any more."""
+CHANGING = "changes while the map is computed"
+"""Stands for what a measure reads that is no setting, such as a counter."""
+LONGEST = 400
+"""Characters of a difference that are shown."""
+RIGS = ("first_rig", "last_rig")
+"""Settings that may differ where the rigs of some chunks are others than they were."""
+
+
+def settings_of(spec: MapSpec, maker: RigMaker) -> dict[str, Any]:
+    """All that decides the values of a map, as JSON: stores of other settings are refused."""
+    last = tuple(size - 1 for size in spec.arguments.shape)
+    return {
+        "format": FORMAT,
+        "vibrojax_version": version("vibrojax"),
+        "jax_version": version("jax"),
+        "float64": bool(jax.config.read("jax_enable_x64")),
+        "axes": {
+            d.name: {n: v.tolist() for n, v in d.values.items()} for d in spec.arguments.dimensions
+        },
+        "axis_order": [d.name for d in spec.arguments.dimensions],
+        "fixed": {n: _fixed(v) for n, v in spec.arguments.fixed.items()},
+        "frequency": {"axis": spec.grid.axis, "values": spec.grid.values.tolist()},
+        "single_frequency": spec.grid.single,
+        "response": spec.response.recipe,
+        "measures": {m.name: None if m.own else _known(m.function) for m in spec.measures},
+        "keep_curves": spec.keep_curves,
+        "gradients": list(spec.gradients),
+        "first_rig": _identity(maker.sample()),
+        "last_rig": _identity(maker.sample(last)),
+    }
+
+
+def _fixed(value: Any) -> str:
+    """A fixed argument in words, the same in whatever process."""
+    if callable(value) and not isinstance(value, eqx.Module):
+        return f"{getattr(value, '__name__', 'function')} {value_digest(value)}"
+    return recipe(value)
+
+
+def _known(function: Callable[..., Any]) -> dict[str, Any]:
+    found = identity_of(function)
+    return {"source": found.source, "reads": found.reads}
+
+
+def _identity(system: AbstractSystem) -> str:
+    """A system in words, and what stands for every digit of its numbers and its code."""
+    # Not its repr, which is for people and may change: a store is known by this text.
+    return f"{recipe(system)} {value_digest(system)}"
+
+
+def identity_of_chunks(settings: dict[str, Any]) -> str:
+    """Return what the records of chunks know the settings by: those that never change."""
+    others = (*RIGS, "measures")
+    return digest(json.dumps({n: v for n, v in settings.items() if n not in others}))
+
+
+def unread_of(spec: MapSpec) -> list[str]:
+    """Return what functions of the user read and cannot be told from others, in words."""
+    own: dict[str, Callable[..., Any]] = {m.name: m.function for m in spec.measures if not m.own}
+    if isinstance(spec.response, BasinFractions):
+        own["start"] = spec.response.start
+    return [f"{name}: {what}" for name, f in own.items() for what in identity_of(f).unknown]
+
+
+def with_changing(settings: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
+    """Take over from other settings what of the measures is known to change."""
+    measures = dict(settings["measures"])
+    for name, own in measures.items():
+        try:
+            other = known["measures"][name]["reads"]
+            changing = {n: t for n, t in other.items() if t == CHANGING}
+        except (KeyError, TypeError, AttributeError):  # the library's own, or another measure
+            continue
+        if own:
+            measures[name] = own | {"reads": own["reads"] | changing}
+    return settings | {"measures": measures}
+
+
+def after_computing(spec: MapSpec, settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings with what its own computing changes, such as a counter, left out."""
+    measures = dict(settings["measures"])
+    for m in spec.measures:
+        known = measures[m.name]
+        if known:
+            now = identity_of(m.function).reads
+            reads = {n: t if now.get(n) == t else CHANGING for n, t in known["reads"].items()}
+            measures[m.name] = known | {"reads": reads}
+    return settings | {"measures": measures}
+
+
+def attributes_of(
+    spec: MapSpec, sample: AbstractSystem, settings: dict[str, Any]
+) -> dict[str, Any]:
+    """What the dataset says of itself: enough to make it again."""
+    dims = {*spec.template.outer, *(d for v in spec.template.variables.values() for d in v.dims)}
+    others = [name for name in spec.template.coordinates if name not in dims]
+    attributes = {
+        "title": "vibrojax parameter map",
+        "rig": recipe(sample),
+        "rig_source": source_of(spec.make),
+        "call": _call(spec),
+        "vibrojax_version": settings["vibrojax_version"],
+        "jax_version": settings["jax_version"],
+        "block": json.dumps(spec.chunks.block),
+    }
+    if others:
+        attributes["coordinates"] = " ".join(others)
+    return attributes | {"vibrojax_map": json.dumps(settings)}
+
+
+def _call(spec: MapSpec) -> str:
+    """The call that makes the map, as Python."""
+    name = getattr(spec.make, "__name__", "make_system")
+    values = spec.grid.values.tolist()
+    parts = [name if name.isidentifier() else "make_system"]
+    for d in spec.arguments.dimensions:
+        inside = ", ".join(f"{n}={v.tolist()!r}" for n, v in d.values.items())
+        if len(d.values) > 1:
+            inside = f"{d.name}=vj.zipped({inside})"
+        parts.append(inside)
+    parts += [f"{n}={recipe(v)}" for n, v in spec.arguments.fixed.items()]
+    parts.append(f"{spec.grid.axis}={values[0] if spec.grid.single else values!r}")
+    settings = spec.response.recipe
+    parts.append(f"response=vj.{settings}")
+    names = ", ".join(repr(m.name) if m.own else m.name for m in spec.measures)
+    parts.append(f"measures=[{names}]")
+    parts.append(f"keep_curves={spec.keep_curves}")
+    if spec.gradients:
+        parts.append(f"gradients={list(spec.gradients)!r}")
+    return f"vj.parameter_map({', '.join(parts)})"
+
+
+def settings_in(path: Any, found: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings of a store. Raises `ValueError` where they cannot be read."""
+    try:
+        made = json.loads(found["vibrojax_map"])
+    except (ValueError, TypeError, RecursionError):
+        made = None
+    if not isinstance(made, dict):
+        raise ValueError(
+            f"store: {str(path)!r} is damaged: the settings in its zarr.json cannot be read. "
+            "Remove that file, and the same call restores it from its copy, or give another path."
+        )
+    return made
+
+
+def check_same(path: Any, made: dict[str, Any], settings: dict[str, Any]) -> None:
+    """Refuse, with a `ValueError` that names the difference, a store made with other settings.
+
+    Rigs are not compared.
+    """
+    if made.get("format") != settings["format"]:
+        raise ValueError(
+            f"store: {str(path)!r} has format {made.get('format')} (vibrojax "
+            f"{made.get('vibrojax_version')}), this version writes format {settings['format']}. "
+            "Give another path, or read it with xarray.open_zarr."
+        )
+    for name in settings:
+        if name not in RIGS:
+            check_one(path, name, made, settings)
+
+
+def check_one(path: Any, name: str, made: dict[str, Any], settings: dict[str, Any]) -> None:
+    """Refuse a store in which one of the settings differs."""
+    value = settings[name]
+    if made.get(name) != value:
+        raise ValueError(
+            f"store: {str(path)!r} was made with other settings. {name.replace('_', ' ')}: "
+            f"{_difference(made.get(name), value)}. Give another path, or the same settings."
+        )
+
+
+def _difference(made: Any, asked: Any) -> str:
+    """Say in what two settings differ, in few words."""
+    if isinstance(made, dict) and isinstance(asked, dict):
+        for key in [*made, *(k for k in asked if k not in made)]:
+            if made.get(key) != asked.get(key):
+                inside = _difference(made.get(key), asked.get(key))
+                return inside if inside.startswith(f"{key}: ") else f"{key}: {inside}"
+        return "the order of its parts"
+    if isinstance(made, list) and isinstance(asked, list) and len(made) != len(asked):
+        return f"{len(made)} values there, {len(asked)} now"
+    if isinstance(made, list) and isinstance(asked, list):
+        k = next(i for i, (a, b) in enumerate(zip(made, asked, strict=True)) if a != b)
+        return f"value {k + 1} is {made[k]!r} there, {asked[k]!r} now"
+    there, now = _shown(made), _shown(asked)
+    if max(len(there), len(now)) > LONGEST:  # where they part
+        pairs = enumerate(zip(there, now, strict=False))
+        same = next((k for k, (a, b) in pairs if a != b), min(len(there), len(now)))
+        there, now = _around(there, same), _around(now, same)
+    return f"{there} there, {now} now"
+
+
+def _shown(value: Any) -> str:
+    return "nothing" if value is None else repr(value)
+
+
+def _around(text: str, place: int) -> str:
+    first = max(0, place - LONGEST // 4)
+    last = first + LONGEST
+    return f"{'...' if first else ''}{text[first:last]}{'...' if last < len(text) else ''}"

@@ -1,0 +1,334 @@
+"""What tells functions, and any values, from others: their text and all that they read.
+
+A function is known by its source and by the values of the globals, closures, defaults and modules
+that it reads, functions of the user's followed. What belongs to a library is known by its name and
+version.
+"""
+
+import ast
+import dis
+import functools
+import hashlib
+import importlib
+import inspect
+import sys
+import sysconfig
+import textwrap
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vibrojax.maps.store_files import digest
+
+MOST = 1_000_000
+"""Values that are looked into; what holds more cannot be told from others."""
+LONGEST = 1_000
+"""Characters of what is read that are kept beside its digest."""
+SHOWN = 8
+"""Numbers of an array that are written out."""
+PLAIN = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis), type(NotImplemented))
+
+
+class Unreadable(Exception):
+    """A value whose content cannot be found out."""
+
+
+class Identity(NamedTuple):
+    """What a function is known by."""
+
+    source: str
+    reads: dict[str, str]
+    """What it reads, by name."""
+    unknown: tuple[str, ...]
+    """Names of what cannot be read: changes of it are not noticed."""
+
+
+def identity_of(function: Callable[..., Any]) -> Identity:
+    """Return what tells a function from others."""
+    reads: dict[str, str] = {}
+    unknown = []
+    reader = _Reader()
+    try:
+        source, parts = reader.opened(function)
+    except Unreadable:
+        kind = type(function).__qualname__
+        return Identity(f"a {kind}", {}, (f"what this {kind} holds",))
+    for name, value in parts:
+        try:
+            reads[name] = _short(reader.text(value))
+        except Exception:  # objects of others may do anything when they are looked at
+            reads[name] = f"<a {type(value).__name__} that cannot be read>"
+            unknown.append(f"{name} (a {type(value).__name__})")
+    return Identity(source, reads, tuple(unknown))
+
+
+def _short(text: str) -> str:
+    """Return a text, or its beginning and a digest of it where it is long."""
+    if len(text) <= LONGEST:
+        return text
+    return f"{text[:LONGEST]}... {digest(text)}"
+
+
+def value_digest(value: Any) -> str:
+    """Return what stands for a system: the same for equal ones only."""
+    try:
+        text = _Reader().text(value)
+    except Exception:  # something in it that is not data; its numbers are
+        numbers = [leaf for leaf in jax.tree.leaves(value) if eqx.is_array_like(leaf)]
+        text = f"{type(value).__qualname__} {_Reader().text(numbers)}"
+    return digest(text)
+
+
+def source_of(function: Callable[..., Any]) -> str:
+    """Return the text of a function, or what stands for it where there is none."""
+    try:
+        return inspect.getsource(function).strip()
+    except (OSError, TypeError):
+        code = getattr(function, "__code__", None)
+        if code is None:
+            return f"{type(function).__module__}.{type(function).__qualname__}"
+        return _code_text(code)
+
+
+@functools.lru_cache(1024)
+def _code_source(code: CodeType) -> str:
+    """The source of a function without its comments."""
+    try:
+        source = inspect.getsource(code)
+    except (OSError, TypeError):
+        return _code_text(code)
+    trees = list(_parsed(textwrap.dedent(source).strip()))
+    if code.co_name != "<lambda>":
+        return ast.unparse(trees[0]) if trees else source.strip()
+    # Its lines have more on them, perhaps another one.
+    own = [n for tree in trees[:1] for n in ast.walk(tree) if isinstance(n, ast.Lambda)]
+    return f"{ast.unparse(own[0]) if len(own) == 1 else 'lambda'} {_code_text(code)}"
+
+
+def _parsed(source: str) -> Iterator[ast.AST]:
+    """A text as Python: as it is, or as arguments of a call."""
+    for text in (source, f"f({source})"):
+        with suppress(SyntaxError):
+            yield ast.parse(text)
+
+
+def _code_text(code: CodeType) -> str:
+    inner = [_code_text(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts]
+    text = " ".join([code.co_code.hex(), *inner, *code.co_names, *code.co_freevars])
+    return f"<code {digest(text)}>"
+
+
+class _Names(NamedTuple):
+    """Names in the code of a function and of those inside it."""
+
+    globals: tuple[str, ...]
+    modules: tuple[tuple[int, str], ...]
+    """What is imported there: how far up from its own package (0: from the top), and the name."""
+    attributes: tuple[str, ...]
+
+
+@functools.lru_cache(1024)
+def _names(code: CodeType) -> _Names:
+    found: dict[str, list[Any]] = {"globals": [], "modules": [], "attributes": []}
+    steps = list(dis.get_instructions(code))
+    for k, step in enumerate(steps):
+        if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
+            found["globals"].append(step.argval)
+        elif step.opname == "IMPORT_NAME":
+            found["modules"].append((steps[k - 2].argval, step.argval))
+        elif step.opname in ("LOAD_ATTR", "LOAD_METHOD", "IMPORT_FROM"):
+            found["attributes"].append(step.argval)
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            for kind, names in _names(inner)._asdict().items():
+                found[kind] += names
+    return _Names(**{kind: tuple(dict.fromkeys(names)) for kind, names in found.items()})
+
+
+@functools.cache
+def _libraries() -> tuple[Path, ...]:
+    """Folders of what is installed, and of this package."""
+    own = Path(__file__).resolve().parents[2]
+    places = (sysconfig.get_path(k) for k in ("stdlib", "platstdlib", "purelib", "platlib"))
+    return (own, *(Path(place).resolve() for place in places))
+
+
+@functools.cache
+def _is_library(file: str | None) -> bool:
+    """Whether a file of code belongs to a library; what has no file is the user's."""
+    if file is None:
+        return False
+    if file.startswith("<"):
+        return file.startswith("<frozen")
+    place = Path(file).resolve()
+    return any(folder in place.parents for folder in _libraries())
+
+
+def _library_of(module: str | None) -> str | None:
+    """Name and version of the library a module belongs to; None for the user's own."""
+    found = sys.modules.get(module or "")
+    top = (module or "").partition(".")[0]
+    if top in sys.builtin_module_names or top in sys.stdlib_module_names:
+        return top
+    if found is None or not _is_library(getattr(found, "__file__", None)):
+        return None
+    return f"{top} {getattr(sys.modules.get(top), '__version__', '')}".strip()
+
+
+class _Reader:
+    """Writes values down as texts, equal for equal values in whatever process."""
+
+    def __init__(self) -> None:
+        self.open: dict[int, str] = {}
+        """What is being written: it may hold itself."""
+        self.written: dict[int, tuple[Any, str]] = {}
+        """Functions and classes already written, by identity."""
+        self.count = 0
+
+    def text(self, value: Any) -> str:
+        """Return the text of a value. Raises `Unreadable`."""
+        self.count += 1
+        if self.count > MOST:
+            raise Unreadable
+        if type(value) in PLAIN:
+            return repr(value)
+        if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+            keys: Any = value
+            value = jax.random.key_data(keys)
+        if isinstance(value, np.ndarray | np.generic | jax.Array):
+            return self._array(np.asarray(value))
+        if isinstance(value, ModuleType):
+            return f"module {_library_of(value.__name__) or value.__name__}"
+        if id(value) in self.written:
+            return self.written[id(value)][1]
+        if id(value) in self.open:
+            return f"<{self.open[id(value)]} itself>"
+        self.open[id(value)] = type(value).__name__
+        try:
+            text = self._inside(value)
+        finally:
+            del self.open[id(value)]
+        if isinstance(value, FunctionType | type):
+            self.written[id(value)] = value, text
+        return text
+
+    def _array(self, values: np.ndarray) -> str:
+        if values.dtype.hasobject:
+            return f"array {values.shape} {self.text(values.tolist())}"
+        if values.size <= SHOWN:
+            return f"{values.dtype} {values.tolist()!r}"
+        data = hashlib.blake2b(np.ascontiguousarray(values).tobytes(), digest_size=8)
+        return f"{values.dtype} {values.shape} {data.hexdigest()}"
+
+    def _inside(self, value: Any) -> str:
+        if type(value) in (tuple, list):
+            return f"{type(value).__name__}({', '.join(map(self.text, value))})"
+        if type(value) in (set, frozenset):
+            return f"{type(value).__name__}({', '.join(sorted(map(self.text, value)))})"
+        if type(value) is dict:
+            pairs = sorted(f"{self.text(k)}: {self.text(v)}" for k, v in value.items())
+            return f"dict({', '.join(pairs)})"
+        source, parts = self.opened(value)
+        inside = "; ".join(f"{name} = {self.text(part)}" for name, part in parts)
+        return f"{source} | {inside}" if inside else source
+
+    def opened(self, value: Any) -> tuple[str, list[tuple[str, Any]]]:
+        """Return what a value is, in words, and what it holds by name. Raises `Unreadable`."""
+        wrapped = getattr(value, "__wrapped__", None)
+        if isinstance(value, FunctionType):
+            return self._function(value)
+        if isinstance(value, MethodType):
+            return "method", [("function", value.__func__), ("object", value.__self__)]
+        if isinstance(value, BuiltinFunctionType):
+            own = value.__self__
+            held = [] if own is None or isinstance(own, ModuleType) else [("object", own)]
+            return f"{value.__module__}.{value.__qualname__}", held
+        if isinstance(value, type):
+            return self._class(value)
+        if callable(wrapped):  # compiled by JAX, or cached
+            return type(value).__name__, [("function", wrapped)]
+        return self._object(value)
+
+    def _function(self, function: FunctionType) -> tuple[str, list[tuple[str, Any]]]:
+        code = function.__code__
+        parts: list[tuple[str, Any]] = []
+        library = _is_library(code.co_filename)
+        if not library:
+            parts += _read_by(function)
+        for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
+            try:
+                parts.append((name, cell.cell_contents))
+            except ValueError:  # nothing is in it yet
+                parts.append((name, None))
+        if library:
+            return f"{code.co_qualname} of {Path(code.co_filename).stem}", parts
+        parameters = inspect.signature(function, follow_wrapped=False).parameters.values()
+        parts += [(p.name, p.default) for p in parameters if p.default is not p.empty]
+        return _code_source(code), [*parts, *vars(function).items()]
+
+    def _class(self, kind: type) -> tuple[str, list[tuple[str, Any]]]:
+        library = _library_of(kind.__module__)
+        if library is not None:
+            return f"{kind.__module__}.{kind.__qualname__} of {library}", []
+        parts: list[tuple[str, Any]] = [("bases", kind.__bases__)]
+        for name, member in sorted(vars(kind).items()):
+            if isinstance(member, staticmethod | classmethod):
+                member = member.__func__
+            elif isinstance(member, property):
+                member = (member.fget, member.fset)
+            elif isinstance(member, functools.cached_property):
+                member = member.func
+            # Of the names that Python makes itself only functions decide anything.
+            if isinstance(member, FunctionType) or not name.startswith(("__", "_abc_")):
+                parts.append((name, member))
+        return f"class {kind.__qualname__}", parts
+
+    def _object(self, value: Any) -> tuple[str, list[tuple[str, Any]]]:
+        try:  # as it would be pickled, but without pickling
+            reduced = value.__reduce_ex__(4)
+        except Exception:
+            raise Unreadable from None
+        if isinstance(reduced, str):
+            return f"{type(value).__module__}.{reduced}", []
+        make, given, *more = reduced
+        parts: list[tuple[str, Any]] = [("class", type(value)), ("made by", make)]
+        parts += [(f"argument {k}", own) for k, own in enumerate(given) if own is not type(value)]
+        state = more[0] if more else None
+        if isinstance(state, dict):
+            parts += sorted((str(name), own) for name, own in state.items())
+        elif state is not None:
+            parts.append(("state", state))
+        parts += [("items", list(own)) for own in more[1:3] if own is not None]
+        return f"a {type(value).__name__}", parts
+
+
+def _read_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """What a function reads beside its arguments, by name."""
+    names = _names(function.__code__)
+    found = {n: function.__globals__[n] for n in names.globals if n in function.__globals__}
+    package = function.__globals__.get("__package__")
+    for level, name in names.modules:
+        try:
+            found[name] = importlib.import_module("." * level + name, package)
+        except Exception:  # the function itself will say so when it is called
+            found[name] = None
+    yield from _with_modules(found, names.attributes, ())
+
+
+def _with_modules(
+    found: dict[str, Any], attributes: tuple[str, ...], above: tuple[ModuleType, ...]
+) -> Iterator[tuple[str, Any]]:
+    """Values by name, modules of the user's followed by what is read of them."""
+    for name, value in found.items():
+        yield name, value
+        if not isinstance(value, ModuleType) or value in above or _library_of(value.__name__):
+            continue
+        own = {f"{name}.{n}": getattr(value, n) for n in attributes if hasattr(value, n)}
+        yield from _with_modules(own, attributes, (*above, value))

@@ -1,0 +1,108 @@
+"""A cantilever that hits stops, as a reduced-order model in its own modes."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from vibrojax._tools.checks import check_choice, check_count, check_not_negative, number_field
+from vibrojax._tools.signatures import validated
+from vibrojax.model.beam import Cantilever
+from vibrojax.model.drives import AbstractDrive, NoDrive, PointForce
+from vibrojax.model.modes import FORMULATIONS, Modes, modes
+from vibrojax.model.states import Displacement, beam_coordinates
+from vibrojax.model.stops import Stop
+from vibrojax.model.systems import (
+    AbstractSystem,
+    LinearEquations,
+    as_stops,
+)
+
+
+@validated
+class ImpactingBeam(AbstractSystem):
+    """A cantilever, its stops and its drive, reduced to the first modes of the free beam.
+
+    Displacements are relative to the base. Source: Gandhi and Vyas 2017, eqs. 8, 36 and 37; the
+    default `consistent` formulation corrects their modal mass and participation (see `modes`).
+
+    Raises `ValueError` for num_modes below 1, a negative damping ratio, an unknown formulation,
+    stops and drive that are none, or a stop without a position.
+    """
+
+    beam: Cantilever
+    """The beam that moves."""
+    stops: tuple[Stop, ...] = eqx.field(converter=as_stops, default=())
+    """One or several stops, on either side."""
+    drive: AbstractDrive = eqx.field(default_factory=NoDrive)
+    """Base motion, point force or none."""
+    damping_ratio: float | Float[Array, "..."] = number_field(default=0.0)
+    """Damping ratio zeta of every mode (Gandhi and Vyas 2017, sec. 3)."""
+    num_modes: int = eqx.field(static=True, default=5)
+    """How many modes are kept."""
+    formulation: str = eqx.field(static=True, default="consistent")
+    """`consistent`, or `as_printed` to replicate the paper."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a rig."""
+        for stop in self.stops:
+            if stop.position is None:
+                raise ValueError(
+                    "position must be above 0 (root) and at most 1 (tip), got None. Give every "
+                    "Stop of a beam its place; None is for a MatrixSystem."
+                )
+        check_not_negative("damping_ratio", self.damping_ratio, "(fraction of critical)")
+        check_count("num_modes", self.num_modes, most=1000)
+        check_choice("formulation", self.formulation, FORMULATIONS)
+
+    def modes(self) -> Modes:
+        """Return the modes of the free beam that the model is reduced to."""
+        return modes(self.beam, self.num_modes, self.formulation)
+
+    def equations(self) -> LinearEquations:
+        """Reduce the beam to its modes and place the stops and the drive on them."""
+        free = self.modes()
+        if self.stops:
+            places = jnp.stack([jnp.asarray(stop.position) for stop in self.stops])
+            towards = jnp.asarray([float(stop.side) for stop in self.stops])
+            stop_map = towards[:, None] * free.shape(places)
+        else:
+            stop_map = jnp.zeros((0, self.num_modes))
+        if isinstance(self.drive, PointForce):
+            input_map = free.shape(self.drive.position) / free.modal_mass
+        else:
+            input_map = free.participation
+        return LinearEquations(
+            stops=self.stops,
+            angular_frequency=free.angular_frequency,
+            damping_ratio=self.damping_ratio * jnp.ones(self.num_modes),
+            input_map=input_map,
+            stop_map=stop_map,
+            force_map=(stop_map / free.modal_mass).T,
+            response_map=free.shape(1.0),
+            modal_mass=free.modal_mass,
+        )
+
+    def modal_coordinates(self, displacement: Displacement) -> Float[Array, " modes"]:
+        """Return the modal coordinates (m) of a displacement, or (m/s) of a velocity.
+
+        Displacements are `modes().shape(s) @ q`; the shapes are mass-normalised as `Modes` says, so
+        q is not the displacement of any place. A function is projected on the modes by the mass of
+        the beam and of all masses on it; numbers at places are fitted by least squares.
+
+        `displacement` is a function of s = x/L, called with an array of places, or a dict of
+        numbers (m) by place, at least as many as there are modes. Raises `ValueError` for anything
+        else; warns where the modes leave out more than a tenth of it.
+        """
+        return beam_coordinates(self.beam, self.modes(), displacement)
+
+    @validated(traceable=True)
+    def static_shape(self, tip_displacement: ArrayLike) -> Float[Array, " modes"]:
+        """Return the modal coordinates (m) of the beam pulled at its tip by a static force.
+
+        The force is whatever brings the tip to `tip_displacement` (m); let go, the beam is
+        released from there (Ledezma-Ramirez et al., free vibration tests).
+        """
+        free = self.modes()
+        tip = free.shape(1.0)
+        flexibility = tip / (free.modal_mass * free.angular_frequency**2)
+        return jnp.asarray(tip_displacement) * flexibility / (tip @ flexibility)

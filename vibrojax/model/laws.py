@@ -1,0 +1,309 @@
+"""Contact laws: the force of a stop as a function of penetration and its rate.
+
+`docs/how_to/contact_laws.md` tells how to write one's own. Laws are elementwise and never look at
+the gap: the `Stop` decides when there is contact and rounds the corner of the force.
+"""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from vibrojax._tools.checks import (
+    check_choice,
+    check_not_negative,
+    check_positive,
+    check_range,
+    number_field,
+)
+from vibrojax._tools.described import described
+from vibrojax._tools.signatures import validated
+
+_PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+
+
+class AbstractContactLaw(eqx.Module):
+    """Force of a stop on the body as a function of penetration and rate; force(0, 0) is 0."""
+
+    @abstractmethod
+    def force(
+        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return the force that resists penetration, N, positive when it pushes the body off.
+
+        `penetration` (m) is at least 0 and `rate` (m/s) is its derivative.
+        """
+
+    def __repr__(self) -> str:
+        return described(self)
+
+
+class AbstractLinearLaw(AbstractContactLaw):
+    """A law that is linear in contact: motions between contacts and in them are then exact."""
+
+    @abstractmethod
+    def linear_coefficients(self) -> tuple[ArrayLike, ArrayLike]:
+        """Return (stiffness N/m, damping N s/m)."""
+
+    @property
+    @abstractmethod
+    def can_pull(self) -> bool:
+        """Whether the force may become negative at separation."""
+
+
+class AbstractMemoryLaw(AbstractContactLaw):
+    """A law with one internal state of its own, its `memory`, which is 0 in a stop at rest.
+
+    The memory goes on changing while nothing touches the stop, whose penetration then is 0.
+    """
+
+    @abstractmethod
+    def force_with_memory(
+        self,
+        penetration: Float[Array, "..."],
+        rate: Float[Array, "..."],
+        memory: Float[Array, "..."],
+    ) -> Float[Array, "..."]:
+        """Return the force that resists penetration, N, positive when it pushes the body off.
+
+        `penetration` (m) is at least 0, `rate` (m/s) its derivative; `memory` is the
+        internal state of the law, in its unit.
+        """
+
+    @abstractmethod
+    def memory_rate(
+        self,
+        penetration: Float[Array, "..."],
+        rate: Float[Array, "..."],
+        memory: Float[Array, "..."],
+    ) -> Float[Array, "..."]:
+        """Return the rate of change of the memory, its unit per s.
+
+        `penetration` (m) is at least 0, `rate` (m/s) its derivative; `memory` is the
+        internal state of the law, in its unit.
+        """
+
+    @abstractmethod
+    def stored_energy_with_memory(
+        self, penetration: Float[Array, "..."], memory: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return the energy that the stop could give back, J.
+
+        `penetration` (m) is at least 0; `memory` is the internal state of the law, in its
+        unit.
+        """
+
+    def force(
+        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return the force of a stop that was at rest before, N."""
+        return self.force_with_memory(penetration, rate, jnp.zeros_like(penetration))
+
+
+def linear_coefficients(law: AbstractContactLaw) -> tuple[ArrayLike, ArrayLike] | None:
+    """Return (stiffness N/m, damping N s/m) of a law that is linear in contact, else None."""
+    return law.linear_coefficients() if isinstance(law, AbstractLinearLaw) else None
+
+
+def can_pull(law: AbstractContactLaw) -> bool:
+    """Whether the force of a law that is linear in contact may become negative at separation."""
+    return isinstance(law, AbstractLinearLaw) and law.can_pull
+
+
+def stored_energy(
+    law: AbstractContactLaw,
+    penetration: Float[Array, "..."],
+    memory: Float[Array, "..."] | None = None,
+) -> Float[Array, "..."]:
+    """Return the energy that a stop could give back, J: the work of the force at rate 0."""
+    if isinstance(law, AbstractMemoryLaw):
+        memory = jnp.zeros_like(penetration) if memory is None else memory
+        return law.stored_energy_with_memory(penetration, memory)
+    coefficients = linear_coefficients(law)
+    if coefficients is not None:
+        return jnp.asarray(coefficients[0]) * penetration**2 / 2
+    # Places crowd at the touch, where the force may rise as any power.
+    share = ((1 + _PLACES) / 2) ** 2
+    depths = jnp.asarray(penetration)[..., None] * share
+    force = law.force(depths, jnp.zeros_like(depths))
+    return penetration * jnp.sum(force * (_WEIGHTS * (1 + _PLACES) / 2), axis=-1)
+
+
+def _power(penetration: Float[Array, "..."], exponent: ArrayLike) -> Float[Array, "..."]:
+    """penetration ** exponent, 0 out of contact with all its derivatives."""
+    touching = penetration > 0
+    return jnp.where(touching, jnp.where(touching, penetration, 1.0) ** exponent, 0.0)
+
+
+def _check_exponent(exponent: object) -> None:
+    check_range(
+        "exponent",
+        exponent,
+        1.0,
+        5.0,
+        allowed="from 1 (a linear spring) to 5",
+        advice="Hertz contact of a sphere has 1.5.",
+    )
+
+
+@validated
+class KelvinVoigt(AbstractLinearLaw):
+    """Spring and dashpot in parallel, F = stiffness d + damping d' while d > 0.
+
+    As printed the dashpot may pull the body back at separation; `tension=False` lets go when the
+    force has fallen to zero. Source: Gandhi and Vyas 2017, eq. 7; Ledezma-Ramirez et al., eq. 7
+    with the offset of the gap that is missing there.
+
+    Raises `ValueError` for a negative stiffness or damping.
+    """
+
+    stiffness: float | Float[Array, "..."] = number_field("N/m")
+    """Contact stiffness Ks, N/m."""
+    damping: float | Float[Array, "..."] = number_field("N s/m", default=0.0)
+    """Contact damping Cs, N s/m."""
+    tension: bool = eqx.field(static=True, default=True)
+    """Whether the stop may pull, as the printed law does."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a stop."""
+        check_not_negative("stiffness", self.stiffness, "N/m")
+        check_not_negative("damping", self.damping, "N s/m")
+        check_choice("tension", self.tension, (True, False))
+
+    def force(
+        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return stiffness d + damping d', cut off below zero without tension."""
+        force = self.stiffness * penetration + self.damping * rate
+        return force if self.tension else jnp.maximum(force, 0.0)
+
+    def linear_coefficients(self) -> tuple[ArrayLike, ArrayLike]:
+        """Return (stiffness, damping)."""
+        return self.stiffness, self.damping
+
+    @property
+    def can_pull(self) -> bool:
+        """Whether the force may become negative at separation."""
+        return self.tension
+
+
+@validated
+class Hertz(AbstractContactLaw):
+    """Elastic contact of curved bodies, F = stiffness d^exponent; no energy is lost.
+
+    Source: Hertz 1881; Johnson, Contact Mechanics (1985), eq. 4.23: a sphere of radius R on a
+    flat has stiffness 4/3 E* sqrt(R) and exponent 3/2.
+
+    Raises `ValueError` for a negative stiffness or an exponent outside [1, 5].
+    """
+
+    stiffness: float | Float[Array, "..."] = number_field("N/m^exponent")
+    """Contact stiffness, N/m^exponent."""
+    exponent: float | Float[Array, "..."] = number_field(default=1.5)
+    """Power of the penetration."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a stop."""
+        check_not_negative("stiffness", self.stiffness, "N/m^exponent")
+        _check_exponent(self.exponent)
+
+    def force(
+        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return stiffness d^exponent."""
+        return self.stiffness * _power(penetration, self.exponent)
+
+
+@validated
+class HuntCrossley(AbstractContactLaw):
+    """Contact whose damping grows with depth: F = stiffness d^exponent (1 + 3/2 dissipation d').
+
+    The force is zero at touch whatever the speed, and the stop never pulls. A free mass that
+    comes with speed v leaves with u, where mu = 3/2 dissipation and
+    mu v - ln(1 + mu v) = -mu u - ln(1 - mu u), for any mass, stiffness and exponent: restitution
+    1 - dissipation v at low speeds. Source: Hunt and Crossley 1975, eqs. 10 to 13.
+
+    Raises `ValueError` for a negative stiffness or dissipation, or an exponent outside [1, 5].
+    """
+
+    stiffness: float | Float[Array, "..."] = number_field("N/m^exponent")
+    """Contact stiffness, N/m^exponent."""
+    dissipation: float | Float[Array, "..."] = number_field("s/m", default=0.0)
+    """Loss of restitution per speed of approach (alpha), s/m."""
+    exponent: float | Float[Array, "..."] = number_field(default=1.5)
+    """Power of the penetration."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a stop."""
+        check_not_negative("stiffness", self.stiffness, "N/m^exponent")
+        check_not_negative("dissipation", self.dissipation, "s/m")
+        _check_exponent(self.exponent)
+
+    def force(
+        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return stiffness d^exponent (1 + 3/2 dissipation d'), at least zero."""
+        loss = jnp.maximum(1 + 1.5 * self.dissipation * rate, 0.0)
+        return self.stiffness * _power(penetration, self.exponent) * loss
+
+
+@validated
+class StandardLinearSolid(AbstractMemoryLaw):
+    """Rubber: a spring in parallel with a Maxwell element (spring and dashpot in series).
+
+    F = stiffness d + maxwell_stiffness (d - z) with z' = (d - z)/relaxation_time, z the stretch of
+    the dashpot. Slow contacts feel `stiffness`, quick ones the sum of both. The stop does not
+    stick: where the body leaves its surface the force is zero and the surface creeps back. Source:
+    Zener 1948, ch. V; Findley, Lai and Onaran, Creep and Relaxation (1976), sec. 5.4.
+
+    Raises `ValueError` for a negative stiffness or a relaxation time that is not above 0.
+    """
+
+    stiffness: float | Float[Array, "..."] = number_field("N/m")
+    """Stiffness of a slow compression, N/m."""
+    maxwell_stiffness: float | Float[Array, "..."] = number_field("N/m")
+    """What a sudden compression adds to it, N/m."""
+    relaxation_time: float | Float[Array, "..."] = number_field("s")
+    """Time in which the added force falls to 1/e under constant penetration, s."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a stop."""
+        check_not_negative("stiffness", self.stiffness, "N/m")
+        check_not_negative("maxwell_stiffness", self.maxwell_stiffness, "N/m")
+        check_positive("relaxation_time", self.relaxation_time, "s")
+
+    def force_with_memory(
+        self,
+        penetration: Float[Array, "..."],
+        rate: Float[Array, "..."],
+        memory: Float[Array, "..."],
+    ) -> Float[Array, "..."]:
+        """Return stiffness d + maxwell_stiffness (d - z), at least zero."""
+        force = self.stiffness * penetration + self.maxwell_stiffness * (penetration - memory)
+        return jnp.maximum(force, 0.0)
+
+    def memory_rate(
+        self,
+        penetration: Float[Array, "..."],
+        rate: Float[Array, "..."],
+        memory: Float[Array, "..."],
+    ) -> Float[Array, "..."]:
+        """Return z', m/s."""
+        return (self._surface(penetration, memory) - memory) / self.relaxation_time
+
+    def stored_energy_with_memory(
+        self, penetration: Float[Array, "..."], memory: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Return the energy of both springs, J."""
+        surface = self._surface(penetration, memory)
+        return (self.stiffness * surface**2 + self.maxwell_stiffness * (surface - memory) ** 2) / 2
+
+    def _surface(
+        self, penetration: Float[Array, "..."], memory: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """How deep the surface of the stop is, m: with the body, or where no force holds it."""
+        total = jnp.asarray(self.stiffness) + self.maxwell_stiffness
+        share = jnp.where(total > 0, self.maxwell_stiffness / jnp.where(total > 0, total, 1.0), 0.0)
+        return jnp.maximum(penetration, share * memory)

@@ -1,0 +1,275 @@
+"""A map on one page: what was run, its main measures, and what moves the first of them most."""
+
+import textwrap
+
+import numpy as np
+import xarray
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import MaxNLocator
+
+from vibrojax.plot.map_axes import (
+    FREQUENCIES,
+    RESPONSES,
+    MapAxis,
+    check_map,
+    coordinates_along,
+    fixed_names,
+    fixed_text,
+    label_with_units,
+    parameters_of,
+    read_axis,
+    variables_of,
+    word,
+)
+from vibrojax.plot.map_drawing import (
+    add_color_bar,
+    draw_cells,
+    flags_of,
+    scale_axes,
+    shades_of,
+    with_regimes,
+)
+from vibrojax.plot.style import (
+    COLORS,
+    DPI,
+    LABEL,
+    SMALL,
+    Picture,
+    outside_legend,
+)
+
+PAGE = (11.69, 8.27)  # inches, A4
+MEASURES = (
+    ("peak_amplitude_ratio",),
+    ("resonance_shift", "peak_frequency"),
+    ("largest_contact_force",),
+    ("hysteresis_width", "jump_down"),
+)
+"""What is drawn of a map, the first present of each group."""
+MOST_MAPS = 4
+UPPER = 3
+"""Of them in the upper row."""
+MOST_EFFECTS = 3
+BLUE, ORANGE = COLORS["forward"], COLORS["backward"]
+BAND = (10, 90)  # percent
+MOST_MARKERS = 12
+LINE, WRAP = 112, 30  # letters over the page and over a panel
+
+
+def plot_map_summary(dataset: xarray.Dataset) -> Figure:
+    """Draw a page, A4 across: up to four measures, the effect of each parameter, and the cost.
+
+    `dataset` is that of `parameter_map`. The maps lie over the two longest axes, with the others at
+    their middle value. The effects are those on the first measure: its median at every value of a
+    parameter, and the band that holds 80 % of the systems there; those of three parameters at most.
+
+    Raises `ValueError` for a dataset that is not a map, or has no measure or no parameter with two
+    values.
+    """
+    dataset = check_map(dataset)
+    names = _measures(dataset)
+    maps = [n for n in names if len(parameters_of(dataset, n)) > 1]
+    margins = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08, hspace=0.04, wspace=0.03)
+    figure = Picture(figsize=PAGE, dpi=DPI, layout=margins)
+    key: dict[str, Artist] = {}
+    upper, lower = figure.add_gridspec(2, 1)
+    first = (maps or names)[:UPPER]
+    row = upper.subgridspec(1, len(first))
+    for number, name in enumerate(first):
+        _draw(figure, row[0, number], dataset, name, name in maps, key)
+    second, tally = (maps or names)[UPPER:], bool(_tally(dataset))
+    widths = [1.0] * len(second) + [1.5] * bool(maps) + [0.75] * tally
+    if widths:
+        row = lower.subgridspec(1, len(widths), width_ratios=widths)
+        cells_left = (row[0, number] for number in range(len(widths)))
+        for name in second:
+            _draw(figure, next(cells_left), dataset, name, name in maps, key)
+        if maps:
+            _draw(figure, next(cells_left), dataset, names[0], False, key)
+        if tally:
+            _draw_tally(figure.add_subplot(next(cells_left)), dataset)
+    figure.suptitle(_heading(dataset, names[0]), fontsize=LABEL, x=0.02, ha="left")
+    if key:
+        outside_legend(figure.axes[0], list(key.values()), list(key))
+    return figure
+
+
+def _measures(dataset: xarray.Dataset) -> list[str]:
+    """Return the measures to draw: the known ones, then others, with two values somewhere."""
+    measured = [
+        n
+        for n in variables_of(dataset)
+        if dataset[n].dtype.kind == "f"
+        and not {*FREQUENCIES, *RESPONSES} & set(dataset[n].dims)
+        and parameters_of(dataset, n)
+    ]
+    known = [next((n for n in group if n in measured), None) for group in MEASURES]
+    names = [n for n in known if n is not None]
+    others = [n for n in measured if not any(n in group for group in MEASURES)]
+    others = [n for n in others if not n.startswith(("d_", "jump_")) and n != "natural_frequency"]
+    names = [*names, *others][:MOST_MAPS] or measured[:MOST_MAPS]
+    if not names:
+        raise ValueError(
+            "dataset has no measure over a parameter with two values or more, so there is nothing "
+            "to sum up. Draw its curves with plot_map."
+        )
+    return names
+
+
+def _draw(
+    figure: Figure,
+    cell: SubplotSpec,
+    dataset: xarray.Dataset,
+    name: str,
+    as_map: bool,
+    key: dict[str, Artist],
+) -> None:
+    if not as_map:
+        _draw_effects(figure, cell, dataset, name)
+        return
+    axes = figure.add_subplot(cell)
+    axes.tick_params(labelsize=SMALL)
+    parameters = parameters_of(dataset, name)
+    longest = sorted(parameters, key=lambda d: -dataset.sizes[d])[:2]
+    y, x = sorted(longest, key=parameters.index)
+    others = [d for d in dataset[name].dims if d not in longest]
+    view = dataset.isel({d: dataset.sizes[d] // 2 for d in others})
+    across = read_axis(view, name, x), read_axis(view, name, y)
+    view, words = with_regimes(view, name)
+    shades = shades_of(view, name)
+    draw_cells(axes, view, name, across, shades, words, key)
+    scale_axes(axes, *across)
+    add_color_bar(figure, [axes], shades, "")
+    lines = textwrap.wrap(label_with_units(view, name), WRAP)
+    if fixed := fixed_text(view, name, fixed_names(dataset, name)):
+        lines += textwrap.wrap(f"at {fixed}", WRAP)
+    axes.set_title("\n".join(lines), fontsize=LABEL - 1, loc="left")
+    axes.set_xlabel(textwrap.fill(across[0].label, WRAP), fontsize=LABEL - 1)
+    axes.set_ylabel(textwrap.fill(across[1].label, WRAP), fontsize=LABEL - 1)
+
+
+def _draw_effects(figure: Figure, cell: SubplotSpec, dataset: xarray.Dataset, name: str) -> None:
+    """Draw the median of a measure and its band over each parameter, those of most effect."""
+    effects: list[tuple[float, MapAxis, np.ndarray]] = []
+    for dimension in parameters_of(dataset, name):
+        axis = read_axis(dataset, name, dimension)
+        ahead = dataset[name].transpose(dimension, ...).values
+        spread = ahead.reshape(len(axis.places), -1)[axis.order]
+        bands = np.full((3, len(axis.places)), np.nan)
+        filled = np.isfinite(spread).any(axis=1)
+        if filled.any():
+            bands[:, filled] = np.nanpercentile(spread[filled], [BAND[0], 50, BAND[1]], axis=1)
+        reach = np.nanmax(bands[1], initial=-np.inf) - np.nanmin(bands[1], initial=np.inf)
+        effects.append((float(reach), axis, bands))
+    effects.sort(key=lambda effect: -effect[0])
+    measure = label_with_units(dataset, name)
+    if len(effects) > 1:
+        measure += f": median and {BAND[0]} to {BAND[1]} % band"
+    drawn = effects[:MOST_EFFECTS]
+    shared: Axes | None = None
+    row = cell.subgridspec(1, len(drawn))
+    for number, (_, axis, bands) in enumerate(drawn):
+        axes = figure.add_subplot(row[0, number], sharey=shared)
+        line = "none" if axis.names is not None else "-"
+        axes.fill_between(axis.places, bands[0], bands[2], color=BLUE, alpha=0.2, linewidth=0)
+        marker = "o" if line == "none" or len(axis.places) <= MOST_MARKERS else None
+        axes.plot(axis.places, bands[1], linestyle=line, marker=marker, color=BLUE)
+        scale_axes(axes, axis)
+        label = axis.label
+        if axis.names is None and len(drawn) > 1:
+            label = _label_ends(axes, axis)
+        elif axis.names is not None:
+            axes.tick_params(axis="x", rotation=30)
+        axes.tick_params(labelsize=SMALL, labelleft=shared is None)
+        axes.grid(True, axis="y", color="#d9d9d9", linewidth=0.7)
+        axes.set_xlabel(textwrap.fill(label, 3 * WRAP // (1 + len(drawn))), fontsize=LABEL - 1)
+        if shared is None:
+            axes.set_ylabel(textwrap.fill(measure, WRAP), fontsize=LABEL - 1)
+            shared = axes
+
+
+def _label_ends(axes: Axes, axis: MapAxis) -> str:
+    """Name only the ends of a narrow axis, inside it, and return its label."""
+    ends = axis.places[[0, -1]]
+    largest = np.abs(ends).max()
+    power = 0 if 1e-2 <= largest < 1e3 or not largest else int(3 * (np.log10(largest) // 3))
+    shown = [f"{v:.3g}" for v in ends / 10.0**power]
+    axes.set_xticks(ends.tolist(), shown)
+    axes.set_xticks([], minor=True)
+    for text, side in zip(axes.get_xticklabels(), ("left", "right"), strict=True):
+        text.set_horizontalalignment(side)
+    return axis.scaled_label(f"$10^{{{power}}}$" if power else "")
+
+
+def _tally(dataset: xarray.Dataset) -> dict[str, int]:
+    """Return how many lanes, or else points, ended how; empty when the dataset does not say."""
+    name = "lane_status" if "lane_status" in dataset else "status"
+    if name not in dataset:
+        return {}
+    flags = flags_of(dataset[name])
+    values = dataset[name].values
+    shown = {word: int((values == number).sum()) for word, number in flags.items()}
+    return {word: count for word, count in shown.items() if count or word == "settled"}
+
+
+def _draw_tally(axes: Axes, dataset: xarray.Dataset) -> None:
+    tally = _tally(dataset)
+    lanes = "lane_status" in dataset
+    total = max(1, sum(tally.values()))
+    rows = np.arange(len(tally))
+    counts = np.array(list(tally.values()))
+    axes.barh(rows, counts, color=[BLUE if n == "settled" else ORANGE for n in tally])
+    for row, count in zip(rows, counts, strict=True):
+        axes.annotate(
+            f"{count} ({100 * count / total:.1f} %)",
+            xy=(count, row),
+            xytext=(5, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=SMALL,
+        )
+    axes.set_xlim(0, 1.9 * max(1, counts.max()))
+    axes.set_ylim(len(tally) - 0.4, -0.6)
+    axes.set_yticks(rows, list(tally))
+    axes.tick_params(labelsize=SMALL)
+    title = "How the lanes ended, by their worst point" if lanes else "How the points ended"
+    axes.set_title(textwrap.fill(title, WRAP - 6), fontsize=LABEL - 1, loc="left")
+    axes.set_xlabel("Lanes" if lanes else "Points", fontsize=LABEL - 1)
+    axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _heading(dataset: xarray.Dataset, name: str) -> str:
+    sizes = {d: dataset.sizes[d] for d in parameters_of(dataset, name)}
+    lanes = int(np.prod(list(sizes.values())))
+    names = {d: " with ".join(coordinates_along(dataset, d)).replace("_", " ") for d in sizes}
+    axes = " × ".join(f"{n} {names[d]}" for d, n in sizes.items())
+    lines = [str(dataset.attrs.get("title", "vibrojax parameter map"))]
+    counted = f"{lanes} systems: {axes}"
+    if axis := next((f for f in FREQUENCIES if f in dataset.coords), None):
+        values = dataset[axis].values.ravel()
+        low, high = (word(axis, float(values[k])) for k in (0, -1))
+        reach = f"{low} to {high} in {len(values)} points" if len(values) > 1 else low
+        counted += f"; {axis.replace('_', ' ')} {reach}{' Hz' * (axis == 'frequency')}"
+    lines.append(counted)
+    if tally := _tally(dataset):
+        total = max(1, sum(tally.values()))
+        what = "lanes" if "lane_status" in dataset else "points"
+        shares = ", ".join(f"{n} {k} ({100 * n / total:.1f} %)" for k, n in tally.items())
+        lines.append(f"{what}: {shares}")
+    if cost := next((c for c in ("lane_steps", "steps") if c in dataset), None):
+        lines[-1] += f"; cost {_rounded(dataset[cost])} steps"
+    if rig := str(dataset.attrs.get("rig", "")):
+        rig = " ".join(rig.split()).replace("( ", "(")
+        lines.append(textwrap.shorten(f"rig: {rig}", LINE, placeholder=" …"))
+    return "\n".join(textwrap.fill(line, LINE) for line in lines)
+
+
+def _rounded(cost: xarray.DataArray) -> str:
+    total = np.nansum(cost.values.astype(float))
+    return f"{float(f'{total:.3g}'):,.0f}"

@@ -1,0 +1,371 @@
+"""Which attractors many starts lead to: march, recognise, match, and drop what has arrived.
+
+All starts are marched window by window. A start whose motion returns is parked; of every cluster of
+parked ones a candidate marches on until it is closer to its limit, whose strobed states then are an
+attractor, and the parked starts near any of these states are its. So only few starts are followed
+to their limit, and near misses (a start that lingers at a saddle) are found out, as their candidate
+leaves it again. Pilots go first: the others arrive, in shorter windows, where they run along an
+attractor that is known.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrojax.regime.observing import Sampling, sample_motions
+from vibrojax.regime.strobing import StrobePlan, Strober, width_for
+
+MARCHING, CANDIDATE, PARKED, ARRIVED, APERIODIC, LOST, WAITING = range(7)
+PILOTS = 16
+"""Starts of a place that go first, at least, to find its main attractors."""
+SHORT = 6
+"""Drive periods of the windows in which the other starts are followed onto known attractors."""
+FOLLOWED = 8
+"""Such windows, after which a start may be on an attractor that is not known yet."""
+CANDIDATES = 8
+"""Candidates of a place that march at the same time."""
+CLOSER = 5.0
+"""How many times smaller than the tolerance the return of a candidate has to be ..."""
+WINDOWS = 8
+"""... unless it has marched so many windows on."""
+FAR = 10.0
+"""Tolerances up to which a start that returns, but is out of time, is given to an attractor."""
+MOST = 64
+"""Periodic attractors told apart at one place."""
+WATCHED = (24, 60)
+"""Drive periods over which means and powers are taken: the first that all periods divide."""
+NARROW, MANY = 16, 8
+"""Lanes of a narrow loop, and full loops of starts from which on there is one."""
+TINY = 1e-300
+SAMPLES = 32
+"""Samples per drive period of what is watched."""
+
+
+class BasinPlan(NamedTuple):
+    """How long starts are marched, and when two motions are the same."""
+
+    transient: int
+    """Drive periods after which a start that has not settled has one window left."""
+    periods: int
+    """Drive periods of a window."""
+    max_period: int
+    tolerance: float
+    """Relative return that makes a period, and distance within which two states are one."""
+    barrier: float
+    """Displacement between the wells, m."""
+    distinguish_phases: bool
+
+
+class Attractors(NamedTuple):
+    """What the starts of one rig at one frequency lead to; attractors by share, largest first."""
+
+    number: Int[np.ndarray, " starts"]
+    """Attractor of every start, from 1; 0 for a start that diverged."""
+    period: Int[np.ndarray, " attractors"]
+    """Drive periods; 0 for the motions without one."""
+    cross_well: Bool[np.ndarray, " attractors"]
+    mean_displacement: Float[np.ndarray, " attractors"]
+    strain_power_rms: Float[np.ndarray, " attractors"]
+    periods_marched: Int[np.ndarray, " starts"]
+
+
+class _Orbit(NamedTuple):
+    """A periodic attractor."""
+
+    strobes: Float[np.ndarray, "period states"]
+    """Weighted states, that of the lowest first coordinate first."""
+    state: Float[np.ndarray, " states"]
+
+    @property
+    def period(self) -> int:
+        return len(self.strobes)
+
+    @property
+    def size(self) -> float:
+        return float(np.sqrt(np.mean(np.sum(self.strobes**2, axis=1))))
+
+
+class _Search:
+    """Starts on their ways; lane k is start k % starts of place k // starts."""
+
+    def __init__(self, strober, rig, frequency, starts, plan: BasinPlan, tell):
+        places, count, _ = starts.shape
+        self.strober, self.plan, self.tell = strober, plan, tell
+        self.place = np.repeat(np.arange(places), count)
+        self.rig, self.frequency = rig[self.place], frequency[self.place]
+        self.state = starts.reshape(places * count, -1).copy()
+        self.weight = strober.weight[rig]
+        self.stage = np.full(len(self.place), MARCHING)
+        self.marched = np.zeros(len(self.place), int)
+        self.windows = np.zeros(len(self.place), int)
+        """Windows that a candidate has marched on."""
+        self.orbits: list[list[_Orbit]] = [[] for _ in range(places)]
+        self.orbit = np.full(len(self.place), -1)
+        self.shift = np.zeros(len(self.place), int)
+        """By how many drive periods a start is ahead on its orbit."""
+        self.width = width_for(len(self.place))
+        # Stragglers of a long run are worth a loop of their own width, which has to be compiled.
+        self.narrow = width_for(NARROW) if len(self.place) > MANY * self.width else self.width
+
+    def run(self) -> None:
+        """Bring every start to an end."""
+        count = len(self.place) // len(self.orbits)
+        first = max(PILOTS, self.width // len(self.orbits))
+        pilots = np.random.default_rng(0).permutation(count)[:first]
+        self.stage[:] = WAITING
+        self.stage.reshape(-1, count)[:, pilots] = MARCHING
+        self._settle()
+        self._follow()
+        self.stage[self.stage == WAITING] = MARCHING
+        self._settle()
+
+    def _follow(self) -> None:
+        """March what waits until it runs along one of the attractors that are known."""
+        known = np.array([bool(orbits) for orbits in self.orbits])
+        for _ in range(FOLLOWED):
+            lanes = np.flatnonzero((self.stage == WAITING) & known[self.place])
+            if not lanes.size:
+                return
+            record = self._record(lanes)
+            self.state[lanes] = record[:, -1]
+            self.marched[lanes] += SHORT
+            alive = np.isfinite(record[:, -1]).all(axis=1)
+            self._end(lanes[~alive], LOST)
+            for place in np.unique(self.place[lanes[alive]]):
+                own = alive & (self.place[lanes] == place)
+                self._join(place, lanes[own], record[own] * self.weight[place])
+
+    def _record(self, lanes):
+        """Return the states of some lanes after each period of a short window."""
+        every = self._filled(lanes)
+        rig, frequency, state = self.rig[every], self.frequency[every], self.state[every]
+        return self.strober.strobes(rig, frequency, state, SHORT)[: len(lanes)]
+
+    def _join(self, place, lanes, record):
+        """Let lanes arrive that run along an orbit of their place all through a short window."""
+        from scipy.spatial.distance import cdist
+
+        rows, best = np.arange(len(lanes)), np.full(len(lanes), np.inf)
+        orbit, shift = np.zeros(len(lanes), int), np.zeros(len(lanes), int)
+        back = np.arange(SHORT)[::-1]
+        for k, known in enumerate(self.orbits[place]):
+            n = known.period
+            away = cdist(record.reshape(-1, record.shape[2]), known.strobes)
+            away = away.reshape(len(lanes), SHORT, n) / max(known.size, TINY)
+            # By the strobe at which the window would end.
+            path = [away[:, np.arange(SHORT), (end - back) % n].max(axis=1) for end in range(n)]
+            end = np.argmin(path, axis=0)
+            farthest = np.array(path)[end, rows]
+            nearer = farthest < best
+            best, orbit = np.where(nearer, farthest, best), np.where(nearer, k, orbit)
+            shift = np.where(nearer, (end - self.marched[lanes]) % n, shift)
+        near = best <= self.plan.tolerance
+        self.orbit[lanes[near]], self.shift[lanes[near]] = orbit[near], shift[near]
+        self._end(lanes[near], ARRIVED)
+
+    def _settle(self) -> None:
+        """March what marches, window by window, and find the attractors."""
+        budget = self.plan.transient + self.plan.periods
+        while True:
+            lanes = np.flatnonzero(self.stage <= CANDIDATE)
+            if not lanes.size:
+                break
+            period, error = self._march(lanes)
+            self._resolve(lanes, period, error)
+            parked = lanes[(self.stage[lanes] == MARCHING) & (period > 0)]
+            self.stage[parked] = PARKED
+            for place in np.unique(self.place[self.stage == PARKED]):
+                self._match(place)
+            out = (self.stage == MARCHING) & (self.marched >= budget)
+            self._end(np.flatnonzero(out), APERIODIC)
+            for place in np.unique(self.place[self.stage == PARKED]):
+                self._choose(place, budget)
+
+    def _filled(self, lanes):
+        """Fill some lanes up to one of the widths that are compiled."""
+        width = self.narrow if len(lanes) <= self.narrow else self.width
+        return lanes[np.minimum(np.arange(max(len(lanes), width)), len(lanes) - 1)]
+
+    def _march(self, lanes):
+        """March a window; returns period and error of the return."""
+        plan = self.plan
+        every = self._filled(lanes)
+        window = StrobePlan(0, plan.periods, plan.max_period, plan.tolerance, False)
+        found = self.strober.observe(
+            self.rig[every], self.frequency[every], self.state[every], window
+        )
+        n = len(lanes)
+        self.state[lanes] = found.end[:n]
+        self.marched[lanes] += plan.periods
+        period, error, alive = found.period[:n], found.return_error[:n], found.alive[:n]
+        self._end(lanes[~alive], LOST)
+        return np.where(alive, period, 0), error
+
+    def _end(self, lanes, stage):
+        self.stage[lanes] = stage
+        self.tell(len(lanes))
+
+    def _weighted(self, lanes):
+        return self.state[lanes] * self.weight[self.place[lanes]]
+
+    def _resolve(self, lanes, period, error):
+        """Make attractors of candidates that are near their limit."""
+        own = np.flatnonzero(self.stage[lanes] == CANDIDATE)
+        self.windows[lanes[own]] += 1
+        gone = own[period[own] == 0]
+        self.stage[lanes[gone]] = MARCHING
+        near = error <= self.plan.tolerance / CLOSER
+        near |= self.windows[lanes] >= WINDOWS
+        ready = own[(period[own] > 0) & near[own]]
+        if not ready.size:
+            return
+        chosen = lanes[ready]
+        parts, begin = [self.state[chosen][:, None]], self.state[chosen].copy()
+        for _ in range(-(-self.plan.max_period // SHORT)):
+            parts.append(self._record(chosen))
+            self.state[chosen] = parts[-1][:, -1]
+        self.state[chosen] = begin
+        record = np.concatenate(parts, axis=1)
+        for k, lane in enumerate(chosen):
+            self.stage[lane] = PARKED
+            place, n = self.place[lane], int(period[ready[k]])
+            self._match(place)
+            if self.stage[lane] == ARRIVED:
+                continue
+            strobes = record[k, :n]
+            # From the same phase whichever start was the candidate.
+            strobes = np.roll(strobes, -int(np.argmin(strobes[:, 0])), axis=0)
+            self.orbits[place].append(_Orbit(strobes * self.weight[place], strobes[0]))
+            self._match(place)
+
+    def _distances(self, place, lanes):
+        """Distance of some lanes from every orbit, relative to its size, and the nearest strobe."""
+        from scipy.spatial.distance import cdist
+
+        states = self._weighted(lanes)
+        away = [cdist(states, orbit.strobes) for orbit in self.orbits[place]]
+        nearest = np.stack([a.argmin(axis=1) for a in away], axis=1)
+        sizes = [max(orbit.size, TINY) for orbit in self.orbits[place]]
+        distance = np.stack([a.min(axis=1) / s for a, s in zip(away, sizes, strict=True)], axis=1)
+        return distance, nearest
+
+    def _match(self, place, within=1.0):
+        """Give parked starts of a place to the orbits that they are near."""
+        lanes = np.flatnonzero((self.stage == PARKED) & (self.place == place))
+        if not self.orbits[place] or not lanes.size:
+            return
+        distance, nearest = self._distances(place, lanes)
+        best = distance.argmin(axis=1)
+        rows = np.arange(len(lanes))
+        near = distance[rows, best] <= within * self.plan.tolerance
+        own, orbit = lanes[near], best[near]
+        self.orbit[own] = orbit
+        periods = np.array([o.period for o in self.orbits[place]])[orbit]
+        self.shift[own] = (nearest[rows, best][near] - self.marched[own]) % periods
+        self._end(own, ARRIVED)
+
+    def _choose(self, place, budget):
+        """Choose candidates among the parked starts of a place; the others wait or march on."""
+        mine = self.place == place
+        pending = np.flatnonzero(mine & (self.stage == CANDIDATE))
+        if pending.size:
+            return
+        late = mine & (self.stage == PARKED) & (self.marched >= budget)
+        if self.orbits[place] and late.any():
+            waiting = np.flatnonzero(mine & (self.stage == PARKED) & ~late)
+            self.stage[waiting] = MARCHING
+            self._match(place, FAR)
+            self.stage[waiting] = PARKED
+        parked = np.flatnonzero(mine & (self.stage == PARKED))
+        if len(self.orbits[place]) >= MOST:
+            self._end(parked, APERIODIC)
+            return
+        states = self._weighted(parked)
+        left = np.ones(len(parked), bool)
+        for _ in range(CANDIDATES):
+            if not left.any():
+                break
+            first = int(np.argmax(left))
+            self.stage[parked[first]] = CANDIDATE
+            self.windows[parked[first]] = 0
+            away = np.sqrt(np.sum((states - states[first]) ** 2, axis=1))
+            left &= away > self.plan.tolerance * np.sqrt(np.sum(states[first] ** 2))
+            left[first] = False
+        if self.orbits[place]:  # what is near none of them yet comes nearer
+            self.stage[mine & (self.stage == PARKED) & ~late] = MARCHING
+
+
+def find_attractors(
+    strober: Strober,
+    rig: Int[np.ndarray, " places"],
+    angular_frequency: Float[np.ndarray, " places"],
+    starts: Float[np.ndarray, "places starts states"],
+    plan: BasinPlan,
+    tell: Callable[[int], object] = lambda count: None,
+) -> list[Attractors]:
+    """Follow the starts of every place, a rig at a frequency (rad/s), to what they come to."""
+    search = _Search(strober, rig, angular_frequency, starts, plan, tell)
+    search.run()
+    return _watched(search)
+
+
+def _watched(search: _Search) -> list[Attractors]:
+    """Watch every attractor, and every start that came to none, and number them by share."""
+    orbits = [(p, o) for p, own in enumerate(search.orbits) for o in own]
+    wild = np.flatnonzero(search.stage == APERIODIC)
+    place = np.concatenate([np.array([p for p, _ in orbits], int), search.place[wild]])
+    numbers: dict[str, np.ndarray] = {}
+    if len(place):
+        known = np.reshape([o.state for _, o in orbits], (-1, search.state.shape[1]))
+        states = np.concatenate([known, search.state[wild]])
+        fits = (n for n in WATCHED if all(n % o.period == 0 for _, o in orbits))
+        sampling = Sampling(next(fits, WATCHED[0]), SAMPLES, search.plan.barrier, False)
+        any_lane = place * (len(search.place) // len(search.orbits))
+        rig, frequency = search.rig[any_lane], search.frequency[any_lane]
+        numbers = sample_motions(search.strober, rig, frequency, states, sampling)
+    places = range(len(search.orbits))
+    return [_of_place(search, p, place, len(orbits), wild, numbers) for p in places]
+
+
+def _of_place(search, place, places, count, wild, numbers) -> Attractors:
+    """Number the attractors of one place."""
+    lanes = np.flatnonzero(search.place == place)
+    kinds: dict[tuple, np.ndarray] = {}
+    """Lanes by what they came to: (orbit, shift), or (-1, cross-well)."""
+    rows: dict[tuple, np.ndarray] = {}
+    """Where in the numbers a kind is described."""
+    first = int(np.sum(places[:count] < place))
+    for k, _ in enumerate(search.orbits[place]):
+        own = lanes[(search.stage[lanes] == ARRIVED) & (search.orbit[lanes] == k)]
+        shifts = search.shift[own] if search.plan.distinguish_phases else 0 * own
+        for shift in np.unique(shifts):
+            kinds[(k, int(shift))] = own[shifts == shift]
+            rows[(k, int(shift))] = np.array([first + k])
+    mine = np.flatnonzero(search.place[wild] == place)
+    if mine.size:
+        crosses = numbers["cross_well"][count + mine] > 0.5
+        for side in (True, False):
+            if (crosses == side).any():
+                kinds[(-1, int(side))] = wild[mine[crosses == side]]
+                rows[(-1, int(side))] = count + mine[crosses == side]
+
+    def read(name, kind):
+        return float(np.mean(numbers[name][rows[kind]]))
+
+    period = {k: search.orbits[place][k[0]].period if k[0] >= 0 else 0 for k in kinds}
+    order = sorted(
+        kinds, key=lambda k: (-len(kinds[k]), period[k], round(read("displacement_mean", k), 12), k)
+    )
+    number = np.zeros(len(lanes), int)
+    for i, kind in enumerate(order, start=1):
+        number[kinds[kind] - lanes[0]] = i
+    return Attractors(
+        number=number,
+        period=np.array([period[k] for k in order], int),
+        cross_well=np.array([read("cross_well", k) > 0.5 for k in order], bool),
+        mean_displacement=np.array([read("displacement_mean", k) for k in order], float),
+        strain_power_rms=np.array([read("strain_power_rms", k) for k in order], float),
+        periods_marched=search.marched[lanes],
+    )

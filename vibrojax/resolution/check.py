@@ -1,0 +1,127 @@
+"""How much a result depends on rounding, sampling and the number of modes."""
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from vibrojax._tools.checks import check_count
+from vibrojax._tools.described import in_short
+from vibrojax._tools.signatures import validated
+from vibrojax.branches.branch import Branch
+from vibrojax.model.systems import AbstractSystem
+from vibrojax.resolution.result import ResolutionCheck
+from vibrojax.steady.methods import HarmonicBalance
+from vibrojax.steady.periodic_result import PeriodicResponse
+from vibrojax.stepping.choice import is_exact
+
+Study = Callable[[AbstractSystem, HarmonicBalance], Any]
+
+
+@validated
+def check_resolution(
+    study: Study, system: AbstractSystem, *, samples: int = 256
+) -> ResolutionCheck:
+    """Repeat a result at half the rounding, twice the samples and one more mode.
+
+    Parameters:
+        study: `study(system, method)` makes the result: a `PeriodicResponse`, a `Branch`, or a
+            dictionary of numbers or arrays of equal shape in every repetition. `method` is a
+            `HarmonicBalance` to pass on; a study by other means may leave it.
+        system: the system of the result.
+        samples: samples per drive period of the result that the others are compared with.
+
+    Returns how far every number moved. What a system does not have (rounding, a number of modes)
+    is not varied, and said. Raises `ValueError` when the study returns nothing comparable.
+
+    For example `vj.check_resolution(lambda s, m: vj.periodic_response(s, frequency_ratio=1.1,
+    method=m), rig)`.
+    """
+    check_count("samples", samples, least=16)
+    try:
+        inspect.signature(study).bind(system, None)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"study must be a function of a system and a method, got {in_short(study)}."
+        ) from None
+    method = HarmonicBalance(samples=samples)
+    base = _numbers(study(system, method))
+    moved: dict[str, dict[str, np.ndarray]] = {}
+    skipped: dict[str, str] = {}
+    finer = HarmonicBalance(samples=2 * samples)
+    moved["twice the samples"] = _moved(base, _numbers(study(system, finer)))
+    rounded = _half_rounded(system)
+    if rounded is None:
+        skipped["half the rounding"] = "the corner of the force is exact, there is none"
+    else:
+        moved["half the rounding"] = _moved(base, _numbers(study(rounded, method)))
+    modes = getattr(system, "num_modes", None)
+    if modes is None:
+        skipped["one more mode"] = "the system keeps all its modes, or has no number of them"
+    else:
+        richer = _with_modes(system, modes + 1)
+        if richer is None:
+            skipped["one more mode"] = "the system keeps all its modes"
+        else:
+            moved["one more mode"] = _moved(base, _numbers(study(richer, method)))
+    return ResolutionCheck(values=base, moved=moved, skipped=skipped)
+
+
+def _half_rounded(system: AbstractSystem) -> AbstractSystem | None:
+    stops = getattr(system, "stops", ())
+    if not stops or is_exact(system):
+        return None
+    halved = tuple(eqx.tree_at(lambda s: s.smoothing, s, s.width / 2, is_leaf=_none) for s in stops)
+    return eqx.tree_at(lambda s: s.stops, system, halved)
+
+
+def _none(x: Any) -> bool:
+    return x is None
+
+
+def _with_modes(system: AbstractSystem, count: int) -> AbstractSystem | None:
+    import dataclasses
+
+    try:
+        return dataclasses.replace(system, num_modes=count)  # pyright: ignore
+    except ValueError:
+        return None
+
+
+NUMBERS = ("amplitude_ratio", "peak_ratio", "rms_ratio", "contact_force", "leading_multiplier")
+
+
+def _numbers(result: Any) -> dict[str, np.ndarray]:
+    """Take the numbers out of a result."""
+    if isinstance(result, PeriodicResponse):
+        return {n: np.asarray(getattr(result, n)) for n in NUMBERS}
+    if isinstance(result, Branch):
+        at = int(np.argmax(result.amplitude_ratio)) if len(result.values) else 0
+        numbers = {"peak_amplitude_ratio": result.amplitude_ratio[at]}
+        for kind in ("folds", "period_doublings", "grazings"):
+            for k, value in enumerate(getattr(result, kind)):
+                numbers[f"{kind[:-1]}_{k + 1}"] = np.asarray(value)
+        return numbers
+    if isinstance(result, dict) and result:
+        return {n: np.asarray(jax.device_get(v), float) for n, v in result.items()}
+    raise ValueError(
+        "study must return a PeriodicResponse, a Branch or a dictionary of numbers, got "
+        f"{result!r}."
+    )
+
+
+def _moved(base: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Largest change of every number; NaN for one that only one of the results has."""
+    missing = np.asarray(np.nan)
+    names = list(base) + [n for n in other if n not in base]
+    return {n: _change(base.get(n, missing), other.get(n, missing)) for n in names}
+
+
+def _change(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Largest change between two arrays; NaN where they differ in shape or are not finite."""
+    if one.shape != other.shape or not (np.isfinite(one).all() and np.isfinite(other).all()):
+        return np.asarray(np.nan)
+    return np.asarray(np.max(np.abs(other - one), initial=0.0))

@@ -1,0 +1,283 @@
+"""Condensed harmonic balance: a system that is linear but for its stops, seen from the stops.
+
+The force at the stops is the only nonlinearity, so the unknown is the motion at the stops alone,
+
+    depth = depth without contact + receptance * force(depth, rate),
+
+whatever the number of modes (design: Gandhi and Vyas 2017, eqs. 36 and 37, solved at the stop).
+It is sampled in time. The force is averaged over a sampling cell, as a corner sampled at points
+makes folds that are not there; averaged force and averaged depth are then related by the receptance
+itself.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.laws import can_pull, linear_coefficients
+from vibrojax.model.stops import Stop
+from vibrojax.model.systems import LinearEquations
+from vibrojax.steady.methods import check_balance
+from vibrojax.stepping.contact_phases import _eigen
+
+LEAST_DYNAMIC = 1e-6
+"""Least dynamic stiffness of a mode at resonance, relative to its static one: below it a balance
+loses the digits that tell the motion from the response without stops. Exact motions need none."""
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+class Receptance(NamedTuple):
+    """Steady response to unit harmonic inputs at some angular frequencies."""
+
+    stop_from_force: Complex[Array, "stops stops harmonics"]
+    """Displacement of each contact point towards its stop, by contact force (so mostly below 0)."""
+    stop_from_input: Complex[Array, "stops harmonics"]
+    response_from_force: Complex[Array, "stops harmonics"]
+    response_from_input: Complex[Array, " harmonics"]
+
+
+def receptance(
+    equations: LinearEquations, angular_frequency: Float[Array, " harmonics"]
+) -> Receptance:
+    """Receptances of the unstopped system, m/N or m per unit input, exact in the modes kept."""
+    rows = jnp.concatenate([equations.stop_map, equations.response_map[None]])
+    table = _transfer(equations, angular_frequency, rows)
+    return Receptance(table[:-1, :-1], table[:-1, -1], table[-1, :-1], table[-1, -1])
+
+
+def _transfer(equations: LinearEquations, w: Float[Array, " harmonics"], rows):
+    """Displacements (rows of the coordinates) by contact force and, last, by the input."""
+    columns = jnp.concatenate([-equations.force_map, equations.input_map[:, None]], axis=1)
+    coupling = equations.damping_coupling
+    if coupling is None:
+        natural, zeta = equations.angular_frequency, equations.damping_ratio
+        stiff = equations.modal_stiffness[:, None] - w**2
+        dynamic = stiff + 2j * (zeta * natural)[:, None] * w
+        compliance = 1.0 / _damped(dynamic, 1j * (natural**2)[:, None])
+        return jnp.einsum("ri,ic,ik->rck", rows, columns, compliance)
+    poles, left, right = _flight_poles(equations, coupling, rows, columns)
+    dynamic = _damped(1j * w - poles[:, None], equations.angular_frequency[0])
+    return jnp.einsum("rp,pc,pk->rck", left, right, 1.0 / dynamic)
+
+
+def _damped(dynamic, damping):
+    """Give a mode that would respond without bound just enough damping to respond."""
+    least = LEAST_DYNAMIC * damping
+    return jnp.where(jnp.abs(dynamic) < jnp.abs(least), least, dynamic)
+
+
+def _flight_poles(equations: LinearEquations, coupling: Array, rows, columns):
+    """Poles of the unstopped system with coupled damping, and the two factors of its residues."""
+    n = equations.size
+    unit = equations.angular_frequency[0]
+    w, stiffness = equations.angular_frequency / unit, equations.modal_stiffness / unit**2
+    coupled = jnp.diag(2 * equations.damping_ratio * w) + coupling / unit
+    matrix = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [-jnp.diag(stiffness), -coupled]])
+    values, vectors = _eigen(matrix)
+    input_of = jnp.concatenate([jnp.zeros_like(columns), columns / unit]).astype(vectors.dtype)
+    return values * unit, rows @ vectors[:n], jnp.linalg.solve(vectors, input_of)
+
+
+class Problem(eqx.Module):
+    """One lane at one parameter value: all that the residual needs."""
+
+    stops: tuple[Stop, ...]
+    receptance: Receptance
+    drive: Complex[Array, "stops harmonics"]
+    """Spectrum of the averaged depth without contact."""
+    response_drive: Complex[Array, " harmonics"]
+    """Spectrum of the reported displacement without contact."""
+
+
+def cell_average(samples: int, harmonics: int) -> Float[np.ndarray, " harmonics"]:
+    """Transfer of the mean over a sampling cell with a hat as weight, two samples wide."""
+    return np.sinc(np.arange(harmonics) / samples) ** 2
+
+
+def condensed_problem(
+    equations: LinearEquations,
+    drive: AbstractDrive,
+    angular_frequency: Float[Array, ""],
+    *,
+    samples: int,
+    period: int = 1,
+    harmonics: int | None = None,
+) -> Problem:
+    """Set the problem up for motions over `period` drive periods, `samples` in all.
+
+    `harmonics` of the motion are kept, counted over those periods; by default as many as the
+    samples carry.
+    """
+    count = samples // 2 + 1
+    check_balance(equations.stops)
+    base = angular_frequency / period
+    table = receptance(equations, base * jnp.arange(count))
+    kept = np.arange(count) <= (count if harmonics is None else harmonics)
+    table = Receptance(*(jnp.where(kept, t, 0.0) for t in table))
+    amplitude = drive.complex_amplitude(angular_frequency, jnp.zeros_like(angular_frequency))
+    wave = jnp.zeros(count, complex).at[period].set(-1j * amplitude * samples / 2)
+    gaps = jnp.stack([jnp.asarray(stop.gap, float) for stop in equations.stops])
+    still = jnp.zeros(count).at[0].set(samples)
+    averaged = table.stop_from_input * wave * cell_average(samples, count)
+    return Problem(
+        stops=equations.stops,
+        receptance=table,
+        drive=averaged - gaps[:, None] * still,
+        response_drive=table.response_from_input * wave,
+    )
+
+
+def differentiate(
+    spectrum: Complex[Array, "... harmonics"], samples: int
+) -> Complex[Array, "... harmonics"]:
+    """Spectrum of the change per sample."""
+    order = np.arange(spectrum.shape[-1]) * (2 * np.pi / samples)
+    order[-1] = 0.0  # the highest harmonic has no slope at the samples
+    return jnp.asarray(1j * order) * spectrum
+
+
+def cell_force(
+    stop: Stop,
+    depth: Float[Array, " samples"],
+    change: Float[Array, " samples"],
+    per_second: Float[Array, ""],
+) -> Float[Array, " samples"]:
+    """Contact force averaged over the sampling cell, N.
+
+    `change` is the depth gained per sample; over a cell the depth is a straight line.
+    """
+    law = linear_coefficients(stop.law)
+    scale = jnp.sqrt(change**2 + jnp.asarray(stop.width, float) ** 2 + 1e-300)
+    if law is not None and stop.is_linear and can_pull(stop.law):
+        stiffness, damping = (jnp.asarray(c) for c in law)
+        # Deep in the stop the mean is the force itself, which the polynomial would lose digits of.
+        x = jnp.clip(depth / scale, -1.0, 1.0)
+        above, here, below = (jnp.maximum(x + shift, 0.0) for shift in (1.0, 0.0, -1.0))
+        ramp = scale * (above**3 - 2 * here**3 + below**3) / 6 + jnp.maximum(depth - scale, 0.0)
+        touching = (above**2 - 2 * here**2 + below**2) / 2
+        return stiffness * ramp + damping * change * per_second * touching
+    # Two halves of the hat, each integrated where the depth is above zero.
+    start = depth[:, None] - scale[:, None] * np.array([1.0, 0.0])
+    end = start + scale[:, None]
+    width = jnp.clip(end, 0.0) - jnp.clip(start, 0.0)
+    place = jnp.clip(start, 0.0)[..., None] + width[..., None] * (_NODES + 1) / 2
+    inside = (place - depth[:, None, None]) / scale[:, None, None]
+    rate = (change * per_second)[:, None, None]
+    force = _law_force(stop, place, rate * jnp.ones_like(place))
+    return jnp.sum(force * (1 - jnp.abs(inside)) * _WEIGHTS / 2 * width[..., None], (1, 2)) / scale
+
+
+def _law_force(stop: Stop, depth, rate):
+    return stop.exact_force(depth, rate) if stop.smoothing is None else stop.force(depth, rate)
+
+
+class Balance(NamedTuple):
+    """Residual of a motion and what its linearisation needs."""
+
+    residual: Complex[Array, "stops harmonics"]
+    force: Complex[Array, "stops harmonics"]
+    stiffness: Float[Array, "stops samples"]
+    """Slope of the averaged force in the averaged depth."""
+    damping: Float[Array, "stops samples"]
+    """Slope in the change of depth per sample."""
+
+
+def balance(
+    problem: Problem,
+    depth: Complex[Array, "stops harmonics"],
+    per_second: Float[Array, ""],
+    samples: int,
+) -> Balance:
+    """Evaluate the residual depth - depth without contact - receptance * force."""
+    both = jnp.stack([depth, differentiate(depth, samples)])
+    value, change = jnp.fft.irfft(both, samples)
+    forces, slopes, slopes_of_change = [], [], []
+    for a, stop in enumerate(problem.stops):
+        # Elementwise, so one tangent of ones gives the whole diagonal.
+        force, slope = jax.jvp(
+            lambda d, stop=stop, a=a: cell_force(stop, d, change[a], per_second),
+            (value[a],),
+            (jnp.ones(samples),),
+        )
+        _, slope_of_change = jax.jvp(
+            lambda v, stop=stop, a=a: cell_force(stop, value[a], v, per_second),
+            (change[a],),
+            (jnp.ones(samples),),
+        )
+        forces.append(force)
+        slopes.append(slope)
+        slopes_of_change.append(slope_of_change)
+    force = jnp.fft.rfft(jnp.stack(forces))
+    pushed = jnp.einsum("abk,bk->ak", problem.receptance.stop_from_force, force)
+    return Balance(
+        depth - problem.drive - pushed, force, jnp.stack(slopes), jnp.stack(slopes_of_change)
+    )
+
+
+def solve_condensed(
+    problem: Problem,
+    at: Balance,
+    right: Complex[Array, "sides stops harmonics"],
+    samples: int,
+    capacity: int,
+) -> Complex[Array, "sides stops harmonics"]:
+    """Solve the linearised balance for several right-hand sides (a change of the residual).
+
+    The unknown is the change of force at the samples in contact, of which there may be at most
+    `capacity`; the change of the motion follows from it.
+    """
+    stops = len(problem.stops)
+    kernel = problem.receptance.stop_from_force
+    both = jnp.fft.irfft(jnp.stack([kernel, differentiate(kernel, samples)]), samples)
+    active = ((at.stiffness != 0) | (at.damping != 0)).reshape(-1)
+    place = jnp.where(active, jnp.cumsum(active) - 1, capacity)
+    index = (
+        jnp.full(capacity, stops * samples).at[place].set(jnp.arange(stops * samples), mode="drop")
+    )
+    stiffness = jnp.append(at.stiffness.reshape(-1), 0.0)[index]
+    damping = jnp.append(at.damping.reshape(-1), 0.0)[index]
+    stop, time = jnp.minimum(index // samples, stops - 1), index % samples
+    lag = (time[:, None] - time[None, :]) % samples
+    if stops == 1:
+        depth_of, change_of = both[0, 0, 0][lag], both[1, 0, 0][lag]
+    else:
+        pair = (stop[:, None], stop[None, :], lag)
+        depth_of, change_of = both[0][pair], both[1][pair]
+    matrix = jnp.eye(capacity) - stiffness[:, None] * depth_of - damping[:, None] * change_of
+    sides = jnp.fft.irfft(jnp.stack([right, differentiate(right, samples)], axis=1), samples)
+    sides = sides.reshape(right.shape[0], 2, -1)
+    padded = jnp.concatenate([sides, jnp.zeros((*sides.shape[:2], 1))], axis=2)[:, :, index]
+    pushes = stiffness * padded[:, 0] + damping * padded[:, 1]
+    solved = jnp.linalg.solve(matrix, pushes.T).T
+    force = jnp.zeros((right.shape[0], stops * samples)).at[:, index].set(solved, mode="drop")
+    spectrum = jnp.fft.rfft(force.reshape(right.shape[0], stops, samples))
+    return right + jnp.einsum("abk,sbk->sak", kernel, spectrum)
+
+
+def state_of(
+    equations: LinearEquations,
+    drive: AbstractDrive,
+    angular_frequency: Float[Array, ""],
+    force: Complex[Array, "stops harmonics"],
+    angle: Float[Array, ""],
+    *,
+    samples: int,
+    period: int = 1,
+) -> Float[Array, " states"]:
+    """State (q, q') at a drive phase (rad) of the motion with this spectrum of averaged force."""
+    count = samples // 2 + 1
+    w = angular_frequency / period * jnp.arange(count)
+    table = _transfer(equations, w, jnp.eye(equations.size))
+    amplitude = drive.complex_amplitude(angular_frequency, jnp.zeros_like(angular_frequency))
+    wave = jnp.zeros(count, complex).at[period].set(-1j * amplitude * samples / 2)
+    inputs = jnp.concatenate([force / cell_average(samples, count), wave[None]])
+    spectrum = jnp.einsum("rck,ck->rk", table, inputs)
+    twice = jnp.full(count, 2.0).at[0].set(1.0).at[-1].set(0.0)
+    turn = twice * jnp.exp(1j * angle / period * jnp.arange(count)) / samples
+    return jnp.concatenate([(spectrum * turn).real.sum(1), (1j * w * spectrum * turn).real.sum(1)])

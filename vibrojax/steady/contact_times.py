@@ -1,0 +1,349 @@
+"""Periodic motions as exact solutions between contact times.
+
+With linear stops every phase of a motion has its exact propagator (`ContactPhases`). A periodic
+motion is then known from one state and the sequence in which stops are touched and left: no
+samples, no harmonics, no rounding, and no search, since the contact times only have to be
+corrected. Whether the motion keeps to its sequence (a virtual orbit does not) is checked when it
+is read.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float, Int
+
+from vibrojax._tools.trigonometry import cosine
+from vibrojax.model.drives import AbstractDrive
+from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
+from vibrojax.stepping.resonance import driven_growth
+
+lax = jax.lax
+
+MOST_EVENTS = 16
+"""Touches and departures in a motion: room for eight contacts."""
+
+
+class Events(NamedTuple):
+    """Which stops change contact, in order of time."""
+
+    stop: Int[Array, " events"]
+    """Index of the stop that changes its contact; -1 where there is no event."""
+    first_phase: Int[Array, ""]
+    """Set of touching stops at the section."""
+    section: Float[Array, ""]
+    """Drive phase (rad) at which the state is taken."""
+
+    @property
+    def number(self) -> Int[Array, ""]:
+        """How many events there are."""
+        return jnp.sum(self.stop >= 0, dtype=jnp.int32)
+
+
+class Orbit(NamedTuple):
+    """A motion: its state at the section and the drive phases (rad) of its events."""
+
+    state: Float[Array, " states"]
+    times: Float[Array, " events"]
+
+
+class Tables(NamedTuple):
+    """What one lane needs at one drive frequency."""
+
+    phases: ContactPhases
+    steady: Complex[Array, "phases states"]
+    driven: Complex[Array, "phases states"] | None
+    """Input of blocks in resonance, which have no steady response; None where there are none."""
+    rows: Complex[Array, "phases rows"]
+    """What the read-out rows see of the steady response."""
+    angular_frequency: Float[Array, ""]
+
+
+def tables_of(
+    phases: ContactPhases,
+    drive: AbstractDrive,
+    angular_frequency: Float[Array, ""],
+    *,
+    resonant: bool = True,
+) -> Tables:
+    """Tabulate the steady response of every phase; `resonant` unless no block can be."""
+    zero = jnp.zeros_like(angular_frequency)
+    amplitude = drive.complex_amplitude(angular_frequency, zero)
+    steady = forced_blocks(phases, amplitude, angular_frequency)
+    rows = jnp.einsum("prs,ps->pr", phases.readout, steady)
+    # The steady response is no free motion of a block: its acceleration is -w^2 its depth.
+    s = phases.num_stops
+    acceleration = -(angular_frequency**2) * rows[:, :s]
+    driven = None
+    if resonant:
+        driven = resonant_blocks(phases, amplitude, angular_frequency)
+        pushed = jnp.einsum("prs,ps->pr", phases.readout[:, s : 2 * s], driven)
+        acceleration = acceleration + pushed
+    rows = rows.at[:, 2 * s : 3 * s].set(acceleration)
+    return Tables(phases, steady, driven, rows, angular_frequency)
+
+
+def forced(tables: Tables, phase, angle):
+    """Block coordinates of rest and the steady response at a drive phase."""
+    steady = tables.steady[phase]
+    wave = jnp.sin(angle) * steady.real + jnp.cos(angle) * steady.imag
+    return wave + tables.phases.rest[phase]
+
+
+def _turned(tables: Tables, phase, blocks, angle):
+    """Advance block coordinates over a drive angle."""
+    phases, n = tables.phases, tables.phases.num_blocks
+    time = angle / tables.angular_frequency
+    growth = jnp.exp(phases.exponent[phase] * time)
+    turn = phases.rate[phase] * time
+    c, s = cosine(turn), cosine(turn - np.pi / 2)
+    if blocks.ndim == 2:  # a matrix of columns to advance
+        growth, c, s = growth[..., None], c[:, None], s[:, None]
+    top, bottom = blocks[:n], blocks[n:]
+    # Real pairs have rate 0: cosine 1, sine 0, each row with its own exponent.
+    return jnp.concatenate([growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)])
+
+
+def moved_on(tables: Tables, phase, blocks, begun, angle):
+    """Advance block coordinates of a motion over a drive angle from the phase `begun`."""
+    phases, w = tables.phases, tables.angular_frequency
+    moved = _turned(tables, phase, blocks, angle)
+    if tables.driven is None:
+        return moved
+    decay, rate, driven = phases.exponent[phase, 0], phases.rate[phase], tables.driven[phase]
+    return moved + driven_growth(decay, rate, driven, begun, w, angle / w)
+
+
+def _lateness(tables: Tables, phase, stop, moved, angle, with_slope: bool = False):
+    """First-order time (rad) by which the stop's change of contact comes later than the angle."""
+    phases, stops = tables.phases, tables.phases.num_stops
+    sine, cosine_ = jnp.sin(angle), jnp.cos(angle)
+
+    def read(row):
+        steady = tables.rows[phase, row]
+        forced = sine * steady.real + cosine_ * steady.imag
+        return phases.readout[phase, row] @ moved + phases.readout_rest[phase, row] + forced
+
+    value, slope = read(stop), read(stops + stop)
+    if not all(phases.can_pull):
+        stiffness, damping = phases.stiffness[stop], phases.damping[stop]
+        unit = stiffness + damping * tables.angular_frequency
+        safe = jnp.where(unit > 0, unit, 1.0)
+        touching = (phase >> stop) & 1 == 1
+        pushes = touching & ~jnp.asarray(phases.can_pull)[stop] & (unit > 0)
+        force = (stiffness * value + damping * slope) / safe
+        force_slope = (stiffness * slope + damping * read(2 * stops + stop)) / safe
+        value, slope = jnp.where(pushes, force, value), jnp.where(pushes, force_slope, slope)
+    slope = slope / tables.angular_frequency
+    if not with_slope:
+        slope = lax.stop_gradient(slope)
+    return -value / jnp.where(slope == 0, 1.0, slope)
+
+
+class Course(NamedTuple):
+    """A motion followed through its events; one column per phase passed."""
+
+    end: Float[Array, " states"]
+    times: Float[Array, " events"]
+    """Event times, corrected once."""
+    phase: Int[Array, " segments"]
+    blocks: Float[Array, "states segments"]
+    """Block coordinates where the segment begins."""
+    start: Float[Array, " segments"]
+    stop: Float[Array, " segments"]
+    jacobian: Float[Array, "states states"] | None
+    """Of the end in the state at the section, the change of the event times included."""
+
+
+def follow_events(
+    tables: Tables,
+    events: Events,
+    orbit: Orbit,
+    period: int,
+    count: int | Int[Array, ""] | None = None,
+    *,
+    with_jacobian: bool = False,
+    twice: bool = False,
+) -> Course:
+    """Follow a motion from the section through its events, over `period` drive periods.
+
+    Every event is moved to where its stop changes contact, to first order: at a motion whose times
+    are right nothing moves, and the derivative includes the change of the times (saltation).
+    `count` is the number of events to go through; without it all places are, which reverse mode
+    needs. `twice` corrects the times twice, which second derivatives need.
+    """
+    phases = tables.phases
+    # The Jacobian is no object of differentiation itself.
+    fixed = lax.stop_gradient(tables)
+    room = orbit.times.size
+    last = events.section + 2 * np.pi * period
+    size = room + 1
+    zero = jnp.zeros(size) + last
+    start = (
+        orbit.state,
+        events.first_phase,
+        events.section,
+        orbit.times,
+        jnp.zeros(size, jnp.int32) + events.first_phase,
+        jnp.zeros((orbit.state.size, size)),
+        zero,
+        zero,
+        jnp.eye(orbit.state.size) if with_jacobian else None,
+    )
+
+    def segment(j, carry):
+        state, phase, begun, times, phases_passed, blocks_passed, starts, ends, push = carry
+        final = j >= room
+        k = jnp.minimum(j, room - 1)
+        stop = jnp.where(final, -1, events.stop[k])
+        used, s = stop >= 0, jnp.maximum(stop, 0)
+        angle = jnp.where(used, times[k], last)
+        blocks = phases.from_state[phase] @ state - forced(tables, phase, begun)
+        if phases.num_stops:
+            moved = moved_on(tables, phase, blocks, begun, angle - begun)
+            # Far from the motion a full correction could throw an event out of its order.
+            following = jnp.where(k + 1 < room, times[jnp.minimum(k + 1, room - 1)], last)
+            room_left = jnp.minimum(jnp.minimum(angle - begun, following - angle), 1.0)
+            limit = 0.4 * lax.stop_gradient(jnp.maximum(room_left, 0.0))
+            late = _lateness(tables, phase, s, moved, angle, twice)
+            angle = angle + jnp.where(used, jnp.clip(late, -limit, limit), 0.0)
+            if twice:
+                moved = moved_on(tables, phase, blocks, begun, angle - begun)
+                late = _lateness(tables, phase, s, moved, angle, twice)
+                angle = angle + jnp.where(used, jnp.clip(late, -limit, limit), 0.0)
+        moved = moved_on(tables, phase, blocks, begun, angle - begun)
+        state = phases.to_state[phase] @ (moved + forced(tables, phase, angle))
+        return (
+            state,
+            jnp.where(used, phase ^ (1 << s), phase),
+            angle,
+            times.at[k].set(jnp.where(final, times[k], angle)),
+            phases_passed.at[j].set(phase),
+            blocks_passed.at[:, j].set(blocks),
+            starts.at[j].set(begun),
+            ends.at[j].set(angle),
+            None if push is None else _push(fixed, phase, s, used, push, angle - begun),
+        )
+
+    steps = size if count is None else jnp.minimum(count, room) + 1
+    end, phase, _, times, passed, blocks, starts, ends, push = lax.fori_loop(
+        0, steps, segment, start
+    )
+    passed = jnp.where(jnp.arange(size) < steps, passed, phase)
+    return Course(end, times, passed, blocks, starts, ends, push)
+
+
+def _push(tables: Tables, phase, stop, used, matrix, angle):
+    """Carry the Jacobian through a phase and the change of contact at its end."""
+    phases, n = tables.phases, tables.phases.num_blocks
+    moved = _turned(tables, phase, phases.from_state[phase] @ matrix, lax.stop_gradient(angle))
+    matrix = phases.to_state[phase] @ moved
+    if not phases.num_stops:
+        return matrix
+    # Saltation: where the force jumps (by damping times rate, at zero depth) the velocities of
+    # neighbouring motions jump in proportion to their depth.
+    entering = (phase >> stop) & 1 == 0
+    releases = jnp.asarray(phases.can_pull)[stop]
+    sign = jnp.where(entering, -1.0, jnp.where(releases, 1.0, 0.0))
+    jump = jnp.where(used, sign * phases.damping[stop], 0.0)
+    depth = phases.towards_stop[stop] @ matrix[:n]
+    return matrix.at[n:].add(jump * phases.push_off[:, stop, None] * depth[None])
+
+
+class Solved(NamedTuple):
+    """A periodic motion found by Newton's method."""
+
+    orbit: Orbit
+    parameter: Float[Array, ""]
+    residual: Float[Array, ""]
+    """Largest of the return of the state and the last moves of the events, relative."""
+    jacobian: Float[Array, "states states"]
+    """Of the period map, in units of energy: the monodromy matrix."""
+    slope: Float[Array, " states"]
+    """Derivative of the period map in the parameter."""
+    course: Course
+
+
+def null_vector(matrix: Float[Array, "rows rows"], slope: Float[Array, " rows"]) -> Array:
+    """Unit vector that the matrix, with the slope as one more column, maps to zero."""
+    whole = jnp.concatenate([matrix, slope[:, None]], axis=1)
+    return jnp.linalg.qr(whole.T, mode="complete")[0][:, -1]
+
+
+def solve_orbit(
+    tables_at,
+    events: Events,
+    orbit: Orbit,
+    parameter: Float[Array, ""],
+    period: int,
+    *,
+    hold: bool | Bool[Array, ""],
+    iterations: int = 4,
+) -> Solved:
+    """Newton's method on the state at the section, the event times following.
+
+    `tables_at(parameter)` gives the tables. With `hold` the parameter stays; else the motion moves
+    across the branch through the guess, so that a fold is no obstacle.
+    """
+    n = orbit.state.size
+    count = events.number
+    weight = tables_at(parameter).phases.weight
+    eye = jnp.eye(n + 1)
+
+    guess = weight * orbit.state
+    energy = jnp.sqrt(jnp.sum(guess**2))
+    size = lax.stop_gradient(jnp.where(energy > 0, energy, 1.0))
+
+    def image(p, x, times):
+        tables = tables_at(p)
+        orbit = Orbit(x * (size / tables.phases.weight), times)
+        course = follow_events(tables, events, orbit, period, count, with_jacobian=True)
+        unit = lax.stop_gradient(tables.phases.weight)
+        matrix = unit[:, None] * course.jacobian / unit
+        return course.end * (tables.phases.weight / size), (course, matrix)
+
+    def newton(carry, last):
+        x, p, times, normal, _ = carry
+        end, slope, (course, matrix) = jax.jvp(
+            lambda p: image(p, x, times), (p,), (jnp.ones_like(p),), has_aux=True
+        )
+        moved = course.times
+        shifted = matrix - eye[:n, :n]
+        first = jnp.all(normal == 0)
+        across = jnp.where(hold, eye[-1], null_vector(shifted, slope))
+        normal = jnp.where(first, across, normal)
+        bordered = jnp.block([[shifted, slope[:, None]], [normal[None]]])
+        change = jnp.linalg.solve(bordered, -jnp.append(end - x, 0.0))
+        used = events.stop >= 0
+        error = jnp.maximum(
+            jnp.max(jnp.abs(end - x)),
+            jnp.max(jnp.where(used, jnp.abs(moved - times), 0.0), initial=0.0),
+        )
+        length = jnp.max(jnp.abs(change))
+        change = change * jnp.minimum(1.0, 0.5 / jnp.where(length > 0, length, 1.0))
+        stay = jnp.asarray(last)
+        return (
+            jnp.where(stay, x, x + change[:-1]),
+            jnp.where(stay, p, p + change[-1]),
+            jnp.where(stay, times, moved),
+            normal,
+            (error, matrix, slope, course._replace(jacobian=None)),
+        ), None
+
+    room = orbit.times.size + 1
+    nothing = Course(
+        end=orbit.state,
+        times=orbit.times,
+        phase=jnp.zeros(room, jnp.int32),
+        blocks=jnp.zeros((n, room)),
+        start=jnp.zeros(room),
+        stop=jnp.zeros(room),
+        jacobian=None,
+    )
+    empty = (jnp.asarray(jnp.inf), jnp.zeros((n, n)), jnp.zeros(n), nothing)
+    carry = (guess / size, parameter, orbit.times, jnp.zeros(n + 1), empty)
+    rounds = jnp.arange(iterations + 1) == iterations
+    (x, p, times, _, (error, matrix, slope, course)), _ = lax.scan(newton, carry, rounds)
+    state = x * size / tables_at(p).phases.weight
+    return Solved(Orbit(state, times), p, error, matrix, slope, course)

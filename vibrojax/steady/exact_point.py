@@ -1,0 +1,99 @@
+"""A point of a branch made exact: from a sampled motion to contact times, tangent and stability."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Complex, Float
+
+from vibrojax._tools.types import AnyArray
+from vibrojax.steady.contact_times import (
+    Course,
+    Events,
+    Orbit,
+    null_vector,
+    solve_orbit,
+)
+from vibrojax.steady.orbit_reading import Reading, read_course
+
+ACCURATE = 1e-9
+"""Largest relative residual of an exact motion."""
+NEAR = 0.3
+"""Farthest that a motion may lie from its guess, over its size: beyond, it is another one."""
+BREACH = 1e-8
+"""Largest breach of the sequence of events, over the size of the motion."""
+
+
+class ExactPoint(NamedTuple):
+    """A point of a branch as an exact motion, with its tangent and its stability."""
+
+    parameter: Float[Array, ""]
+    events: Events
+    orbit: Orbit
+    residual: Float[Array, ""]
+    tangent: Float[Array, " states_and_parameter"]
+    """Direction of the branch in the state at the section and the parameter; its sign is free."""
+    monodromy: Float[Array, "states states"]
+    """Jacobian of the period map at the section, in units of energy."""
+    multipliers: Complex[Array, " states"]
+    reading: Reading
+    valid: Bool[Array, ""]
+
+
+class Guess(NamedTuple):
+    """A sequence of events and a motion near the one wanted."""
+
+    events: Events
+    orbit: Orbit
+    fits: Bool[AnyArray, ""]
+    """Whether there was room for all events."""
+
+
+def exact_point(
+    tables_at,
+    guess: Guess,
+    parameter: Float[Array, ""],
+    period: int,
+    *,
+    hold: bool | Bool[Array, ""],
+    iterations: int = 4,
+) -> tuple[ExactPoint, Course]:
+    """Turn a guess into an exact motion.
+
+    `hold` keeps the parameter; else the motion moves across the branch, so that folds are no
+    obstacle.
+    """
+    events = guess.events
+    solved = solve_orbit(
+        tables_at, events, guess.orbit, parameter, period, hold=hold, iterations=iterations
+    )
+    tables = tables_at(solved.parameter)
+    course = solved.course
+    reading = read_course(tables, events, course, period)
+    n = solved.orbit.state.size
+    size = jnp.maximum(
+        jnp.max(jnp.abs(tables.phases.gap), initial=0.0),
+        jnp.maximum(reading.highest, -reading.lowest),
+    )
+    moved = (solved.orbit.state - guess.orbit.state) * tables.phases.weight
+    extent = jnp.linalg.norm(guess.orbit.state * tables.phases.weight)
+    whole = jnp.all(jnp.isfinite(solved.jacobian)) & jnp.isfinite(solved.residual)
+    valid = (
+        whole
+        & (solved.residual < ACCURATE)
+        & (jnp.linalg.norm(moved) <= NEAR * extent)
+        & reading.ordered
+        & ~(reading.breach > BREACH * size)
+        & guess.fits
+    )
+    matrix = jnp.where(jnp.isfinite(solved.jacobian), solved.jacobian, 0.0)
+    return ExactPoint(
+        parameter=solved.parameter,
+        events=events,
+        orbit=solved.orbit,
+        residual=solved.residual,
+        tangent=null_vector(matrix - jnp.eye(n), solved.slope),
+        monodromy=matrix,
+        multipliers=jnp.linalg.eigvals(matrix),
+        reading=reading,
+        valid=valid,
+    ), course

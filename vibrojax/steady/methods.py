@@ -1,0 +1,107 @@
+"""How a periodic response is found: settings, apart from the system."""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+
+from vibrojax._tools.checks import check_count
+from vibrojax._tools.described import described
+from vibrojax._tools.signatures import validated
+from vibrojax.model.stops import Stop
+
+SAMPLES = ((1e-3, 128), (1e-4, 256), (1e-5, 512), (1e-6, 1024))
+"""Tolerance reached by harmonic balance, by samples per drive period."""
+
+
+def check_balance(stops: tuple[Stop, ...]) -> None:
+    """Refuse, with a `ValueError`, a contact law that harmonic balance cannot take."""
+    for stop in stops:
+        if stop.has_memory:
+            raise ValueError(
+                "Harmonic balance needs a contact force that is a function of depth and rate, but "
+                f"a {type(stop.law).__name__} has an internal state. Use frequency_sweep, or "
+                "periodic_response with method=Shooting()."
+            )
+
+
+@validated
+class HarmonicBalance(eqx.Module):
+    """Condensed harmonic balance: the motion at the stops, sampled in time.
+
+    For systems that are linear but for their stops, any contact law that is a function of depth
+    and rate, any number of modes and stops. Raises `ValueError` for fewer than 16 samples, an odd
+    number of them, or fewer than 1 harmonic.
+    """
+
+    samples: int | None = eqx.field(static=True, default=None)
+    """Samples per drive period; by default chosen from the tolerance."""
+    harmonics: int | None = eqx.field(static=True, default=None)
+    """Harmonics of the drive frequency kept; by default all that the samples carry."""
+
+    def __check_init__(self) -> None:
+        """Refuse settings that cannot work."""
+        if self.samples is not None:
+            check_count("samples", self.samples, least=16)
+            if self.samples % 2:
+                raise ValueError(
+                    f"samples must be even, got {self.samples}. Use {self.samples + 1}."
+                )
+        if self.harmonics is not None:
+            check_count("harmonics", self.harmonics)
+
+    def __repr__(self) -> str:
+        return described(self)
+
+    def samples_for(self, tolerance: float) -> int:
+        """Return the samples per drive period for a relative error.
+
+        Raises `ValueError` when the samples asked for cannot reach the tolerance.
+        """
+        needed = next((n for reached, n in SAMPLES if tolerance >= reached), None)
+        if self.samples is None:
+            if needed is None:
+                raise ValueError(
+                    f"tolerance = {tolerance:g} is out of reach of harmonic balance: the least is "
+                    f"{SAMPLES[-1][0]:g}. Use linear stops without smoothing, which are solved "
+                    "exactly, or Shooting()."
+                )
+            return needed
+        return self.samples
+
+    def check_reach(self, tolerance: float) -> None:
+        """Refuse, with a `ValueError`, a tolerance that the samples cannot reach."""
+        if self.samples is None:
+            return
+        reach = next((r for r, n in reversed(SAMPLES) if self.samples >= n), 1e-2)
+        if tolerance < reach:
+            raise ValueError(
+                f"tolerance = {tolerance:g} is out of reach of {self.samples} samples, which give "
+                f"about {reach:g}. Leave samples out, or allow more."
+            )
+
+
+@validated
+class Shooting(eqx.Module):
+    """Newton's method on the period map, its Jacobian in forward mode through the stepper.
+
+    For every system and every solver. Raises `ValueError` for a solver that is none, or fewer than
+    16 steps per period.
+    """
+
+    solver: diffrax.AbstractSolver[Any] | None = None
+    """A diffrax solver, at equal steps; by default the one that suits the system."""
+    steps_per_period: int = eqx.field(static=True, default=512)
+    """Equal steps per drive period (samples of the result)."""
+    max_steps: int = eqx.field(static=True, default=20)
+    """Newton steps before giving up."""
+
+    def __check_init__(self) -> None:
+        """Refuse settings that cannot work."""
+        if self.solver is not None and not isinstance(self.solver, diffrax.AbstractSolver):
+            raise ValueError(f"solver must be a diffrax solver, got {self.solver!r}.")
+        check_count("steps_per_period", self.steps_per_period, least=16)
+        check_count("max_steps", self.max_steps)
+
+    def __repr__(self) -> str:
+        return described(self)

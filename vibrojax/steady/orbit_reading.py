@@ -1,0 +1,290 @@
+"""What is read off an exact periodic motion: amplitudes, forces, contact, and its validity."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from vibrojax._tools.trigonometry import cosine
+from vibrojax.steady.contact_times import Course, Events, Tables, forced, moved_on
+from vibrojax.stepping.elementary import cubic_maximum
+from vibrojax.stepping.resonance import driven_growth
+
+lax = jax.lax
+
+GRID = 128
+"""Places per drive period at which a motion is looked at before its extremes are refined."""
+IN_CONTACT = 64
+"""Further places in the time of contact."""
+FINE = 33
+"""Places around an extreme."""
+
+
+class Reading(NamedTuple):
+    """What is read off a motion."""
+
+    highest: Float[Array, ""]
+    """Largest reported displacement, m."""
+    lowest: Float[Array, ""]
+    mean_square: Float[Array, ""]
+    first_harmonic: Float[Array, ""]
+    contact_force: Float[Array, ""]
+    contact_fraction: Float[Array, ""]
+    contacts: Int[Array, ""]
+    breach: Float[Array, ""]
+    """How far the motion breaks its sequence of events, m; about 0 or less where it keeps to it."""
+    ordered: Bool[Array, ""]
+    initial_state: Float[Array, " states"]
+    """(q, q') at drive phase 0."""
+    depth: Float[Array, "stops places"]
+    """Depths at equal intervals from drive phase 0 over the period of the motion, m."""
+    change: Float[Array, "stops places"]
+    """Their change per interval."""
+
+
+def look(tables: Tables, course: Course, segment, angle: Float[Array, " places"]):
+    """Rows (as of `ContactPhases.readout`) at some drive phases, each of a given segment."""
+    phases, n = tables.phases, tables.phases.num_blocks
+    phase = course.phase[segment]
+    time = (angle - course.start[segment]) / tables.angular_frequency
+    exponent = jnp.moveaxis(phases.exponent, 0, -1)[:, :, phase]
+    growth = jnp.exp(exponent * time)
+    rate = phases.rate.T[:, phase]
+    c, s = cosine(rate * time), cosine(rate * time - np.pi / 2)
+    blocks = course.blocks[:, segment]
+    top, bottom = blocks[:n], blocks[n:]
+    moved = jnp.concatenate(
+        [growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)]
+    )
+    if tables.driven is not None:
+        driven, begun = tables.driven.T[:, phase], course.start[segment]
+        w = tables.angular_frequency
+        moved = moved + driven_growth(exponent[0], rate, driven, begun, w, time)
+    sine, cosine_ = cosine(angle - np.pi / 2), cosine(angle)
+
+    def rows_of(p):
+        value = phases.readout[p] @ moved + phases.readout_rest[p][:, None]
+        wave = tables.rows[p]
+        return value + wave.real[:, None] * sine + wave.imag[:, None] * cosine_
+
+    rows = rows_of(0)
+    for p in range(1, 2**phases.num_stops):
+        rows = jnp.where(phase == p, rows_of(p), rows)
+    return rows
+
+
+def _segment_of(course: Course, angle):
+    found = jnp.searchsorted(course.stop, angle, side="left")
+    return jnp.minimum(found, course.stop.size - 1)
+
+
+def read_course(tables: Tables, events: Events, course: Course, period: int) -> Reading:
+    """Read amplitudes, forces and contact off a motion, and check that it keeps to its events."""
+    phases, stops = tables.phases, tables.phases.num_stops
+    begin, whole = events.section, 2 * np.pi * period
+    length = jnp.maximum(course.stop - course.start, 0.0)
+    held = ((course.phase[:, None] >> np.arange(stops)) & 1) == 1
+    in_contact = jnp.any(held, axis=1)
+
+    # Everywhere, starting from drive phase 0; then more closely in contact.
+    grid = GRID * period
+    angle = whole * jnp.arange(grid) / grid
+    angle = jnp.where(angle < begin, angle + whole, angle)
+    touched = jnp.cumsum(jnp.where(in_contact, length, 0.0))
+    share = (np.arange(IN_CONTACT) + 0.5) / IN_CONTACT * touched[-1]
+    place = jnp.minimum(jnp.searchsorted(touched, share), touched.size - 1)
+    inside = course.stop[place] - (touched[place] - share)
+    angles = jnp.concatenate([angle, inside])
+    segment = jnp.concatenate([_segment_of(course, angle), place])
+    rows = look(tables, course, segment, angles)
+    response = rows[3 * stops, :grid]
+
+    # The extremes again, finely.
+    width = whole / grid
+    force = _force(tables, rows, held[segment].T)
+    total = jnp.max(force, axis=0, initial=0.0)
+    centres = [angle[jnp.argmax(response)], angle[jnp.argmin(response)], angles[jnp.argmax(total)]]
+    free = jnp.where(held[segment].T, -jnp.inf, rows[:stops])
+    centres += [angles[jnp.argmax(free[s])] for s in range(stops)]
+    offsets = jnp.linspace(-width, width, FINE)
+    near = jnp.stack(centres)[:, None] + offsets
+    near = begin + jnp.mod(near - begin, whole)
+    # With them the moments of touch, where the force of a stop with damping is largest.
+    places = course.start.size
+    fine_segment = jnp.concatenate([_segment_of(course, near.reshape(-1)), jnp.arange(places)])
+    fine = look(tables, course, fine_segment, jnp.concatenate([near.reshape(-1), course.start]))
+    fine, at_start = fine[:, :-places], fine[:, -places:]
+    fine_segment = fine_segment[:-places]
+    held_there = held[fine_segment].T
+    fine_force = _force(tables, fine, held_there)
+    step = 2 * width / (FINE - 1) / tables.angular_frequency
+
+    def top(values, slopes, row, mask=None):
+        y, v = (a.reshape(len(centres), FINE)[row] for a in (values, slopes))
+        best = cubic_maximum(y[:-1], v[:-1] * step, y[1:], v[1:] * step)
+        if mask is not None:
+            whole_cell = mask.reshape(len(centres), FINE)[row]
+            best = jnp.where(whole_cell[:-1] & whole_cell[1:], best, 0.0)
+        return jnp.max(best)
+
+    value, rate = fine[3 * stops], fine[3 * stops + 1]
+    highest, lowest = top(value, rate, 0), -top(-value, -rate, 1)
+    peak = jnp.zeros(())
+    breach = -jnp.inf * jnp.ones(())
+    for s in range(stops):
+        k, c = phases.stiffness[s], phases.damping[s]
+        slope = k * fine[stops + s] + c * fine[2 * stops + s]
+        touching = held_there[s]
+        cell = top(fine_force[s], jnp.where(touching, slope, 0.0), 2, touching)
+        peak = jnp.maximum(jnp.maximum(peak, jnp.max(force[s])), cell)
+        breach = jnp.maximum(breach, jnp.max(_breach(tables, s, rows, held[segment].T[s])))
+        breach = jnp.maximum(breach, jnp.max(_breach(tables, s, fine, held_there[s])))
+    if stops:
+        long_enough = held & (length > 0)[:, None]
+        peak = jnp.maximum(peak, jnp.max(_force(tables, at_start, long_enough.T)))
+    wave = (response * jnp.sin(angle), response * jnp.cos(angle))
+    entered = (events.stop >= 0) & (course.phase[1:] > course.phase[:-1])
+    origin = jnp.where(begin > 0, whole, 0.0)
+    at = _segment_of(course, origin)
+    return Reading(
+        highest=highest,
+        lowest=lowest,
+        mean_square=jnp.mean(response**2),
+        first_harmonic=2 * jnp.hypot(*(jnp.mean(w) for w in wave)),
+        contact_force=peak,
+        contact_fraction=touched[-1] / whole,
+        contacts=jnp.sum(entered, dtype=jnp.int32),
+        breach=breach,
+        ordered=jnp.all(course.stop - course.start >= 0),
+        initial_state=state_in(tables, course, at, origin),
+        depth=rows[:stops, :grid],
+        change=rows[stops : 2 * stops, :grid] * (width / tables.angular_frequency),
+    )
+
+
+def _force(tables: Tables, rows, held):
+    phases, stops = tables.phases, tables.phases.num_stops
+    value = phases.stiffness[:, None] * rows[:stops]
+    value = value + phases.damping[:, None] * rows[stops : 2 * stops]
+    return jnp.where(held, value, 0.0)
+
+
+def state_in(tables: Tables, course: Course, segment, angle):
+    """State of a motion at a drive phase (rad) of a given segment."""
+    phase, begun = course.phase[segment], course.start[segment]
+    moved = moved_on(tables, phase, course.blocks[:, segment], begun, angle - begun)
+    return tables.phases.to_state[phase] @ (moved + forced(tables, phase, angle))
+
+
+def _breach(tables: Tables, stop: int, rows, touching):
+    """How far a place breaks its phase, m: positive where it should be in the other one."""
+    phases, stops = tables.phases, tables.phases.num_stops
+    depth = rows[stop]
+    if phases.can_pull[stop]:
+        return jnp.where(touching, -depth, depth)
+    k, c = phases.stiffness[stop], phases.damping[stop]
+    unit = k + c * tables.angular_frequency
+    push = (k * depth + c * rows[stops + stop]) / jnp.where(unit > 0, unit, 1.0)
+    inside = jnp.minimum(depth, push)
+    return jnp.where(touching, -inside, inside)
+
+
+def state_at(
+    tables: Tables, course: Course, section: Float[Array, ""], begin: Float[Array, ""], period: int
+) -> Float[Array, " states"]:
+    """State of a motion at a drive phase (rad)."""
+    angle = begin + jnp.mod(section - begin, 2 * np.pi * period)
+    return state_in(tables, course, _segment_of(course, angle), angle)
+
+
+class Crossings(NamedTuple):
+    """A first guess of a motion, read off sampled depths."""
+
+    events: Events
+    times: Float[Array, " events"]
+    number: Int[Array, ""]
+    """Events found; more than there is room for when above the length of `times`."""
+
+
+def find_crossings(
+    depth: Float[Array, "stops samples"],
+    change: Float[Array, "stops samples"],
+    room: int,
+    period: int,
+) -> Crossings:
+    """Find where sampled depths (and their change per sample) cross zero, in order of time.
+
+    Between samples the depth is the cubic through both ends, so a touch shorter than a sample is
+    seen too. The section is put in the middle of the longest phase.
+    """
+    stops, samples = depth.shape
+    f0, g0 = depth, change
+    f1, g1 = jnp.roll(depth, -1, axis=1), jnp.roll(change, -1, axis=1)
+    crossed = (f0 > 0) != (f1 > 0)
+    # A cubic with both ends on one side that reaches over to the other one crosses twice.
+    sign = jnp.where(f0 > 0, -1.0, 1.0)
+    turning, height = _turning(sign * f0, sign * g0, sign * f1, sign * g1)
+    hidden = ~crossed & (height > 0)
+    first = (crossed | hidden).T
+    both = jnp.stack([first, hidden.T], axis=-1).reshape(-1)  # samples, stops, first or second
+    count = jnp.sum(both, dtype=jnp.int32)
+    (index,) = jnp.nonzero(both, size=room, fill_value=both.size)
+    used = index < both.size
+    second = index % 2 == 1
+    stop = (index // 2) % stops
+    time = jnp.minimum(index // (2 * stops), samples - 1)
+    is_hidden = hidden[stop, time]
+    low = jnp.where(second, turning[stop, time], 0.0)
+    high = jnp.where(is_hidden & ~second, turning[stop, time], 1.0)
+    u = _crossing(f0[stop, time], g0[stop, time], f1[stop, time], g1[stop, time], low, high)
+    whole = 2 * np.pi * period
+    angle = jnp.where(used, (time + u) * (whole / samples), jnp.inf)
+    order = jnp.argsort(angle)
+    angle, stop = angle[order], jnp.where(used[order], stop[order], -1)
+    after = jnp.append(angle[1:], jnp.inf)
+    after = jnp.where(jnp.isfinite(after), after, angle[0] + whole)
+    length = jnp.where(stop >= 0, after - angle, -1.0)
+    longest = jnp.argmax(length)
+    section = jnp.where(count > 0, angle[longest] + length[longest] / 2, 0.0)
+    section = jnp.where(section >= whole, section - whole, section)
+    later = jnp.where(stop >= 0, jnp.where(angle < section, angle + whole, angle), section + whole)
+    again = jnp.argsort(later)
+    place = jnp.round(section / (whole / samples)).astype(jnp.int32) % samples
+    bits = jnp.asarray([1 << s for s in range(stops)], jnp.int32)
+    touching = jnp.sum(jnp.where(depth[:, place] > 0, bits, 0), dtype=jnp.int32)
+    events = Events(stop[again].astype(jnp.int32), touching, section)
+    return Crossings(events, later[again], count)
+
+
+def _turning(f0, g0, f1, g1):
+    """Where in [0, 1] the cubic has a maximum inside, and its value (-inf without one)."""
+    curve, bend = 3 * (f1 - f0) - 2 * g0 - g1, 2 * (f0 - f1) + g0 + g1
+    square = curve**2 - 3 * bend * g0
+    below = jnp.sqrt(jnp.maximum(square, 0.0)) - curve
+    u = g0 / jnp.where(below > 0, below, 1.0)
+    inside = (square > 0) & (below > 0) & (u > 0) & (u < 1)
+    value = f0 + u * (g0 + u * (curve + u * bend))
+    return jnp.where(inside, u, 0.5), jnp.where(inside, value, -jnp.inf)
+
+
+def _crossing(f0, g0, f1, g1, low, high):
+    """Zero of the cubic between two places in [0, 1], by safeguarded Newton steps."""
+    curve, bend = 3 * (f1 - f0) - 2 * g0 - g1, 2 * (f0 - f1) + g0 + g1
+
+    def value(u):
+        return f0 + u * (g0 + u * (curve + u * bend))
+
+    start = value(low)
+
+    def closer(_, carry):
+        u, low, high = carry
+        at = value(u)
+        same = (at > 0) == (start > 0)
+        low, high = jnp.where(same, u, low), jnp.where(same, high, u)
+        slope = g0 + u * (2 * curve + 3 * u * bend)
+        step = u - at / jnp.where(slope == 0, 1.0, slope)
+        return jnp.where((step > low) & (step < high), step, (low + high) / 2), low, high
+
+    return lax.fori_loop(0, 8, closer, ((low + high) / 2, low, high))[0]

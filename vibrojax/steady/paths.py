@@ -1,0 +1,151 @@
+"""A line through the numbers of a system: what continuation moves along."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from vibrojax._tools.types import AnyArray
+from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.systems import AbstractSystem, LinearEquations
+from vibrojax.steady.contact_times import Tables, tables_of
+from vibrojax.stepping.contact_phases import ContactPhases, can_resonate, contact_phases
+
+
+class Place(eqx.Module):
+    """Equations, drive and drive frequency at one value of the parameter."""
+
+    equations: LinearEquations
+    drive: AbstractDrive
+    angular_frequency: Float[Array, "..."]
+
+
+class AbstractPath(eqx.Module):
+    """From a parameter to a place; one lane."""
+
+    @abstractmethod
+    def at(self, parameter: Float[Array, ""]) -> Place:
+        """Return equations, drive and drive frequency."""
+
+
+class LocalPath(AbstractPath):
+    """A path near one value of its parameter, to first order: cheap to compile and to evaluate.
+
+    Along a frequency that is the path itself.
+    """
+
+    parameter: Float[Array, "..."]
+    place: Place
+    slope: Place
+    """Derivative of the place; for what does not change, zero."""
+    phases: ContactPhases | None
+    phases_slope: ContactPhases | None
+    """Derivative of the phases; None where they do not change."""
+    resonant: bool = eqx.field(static=True)
+    """Whether the drive could turn a block at its own frequency: there is one without damping."""
+
+    def at(self, parameter: Float[Array, ""]) -> Place:
+        """Return equations, drive and drive frequency."""
+        return _moved(self.place, self.slope, parameter - self.parameter)
+
+    def tables(self, parameter: Float[Array, ""]) -> Tables:
+        """Return the exact propagators (linear stops only)."""
+        assert self.phases is not None
+        phases = self.phases
+        if self.phases_slope is not None:
+            phases = _moved(phases, self.phases_slope, parameter - self.parameter)
+        place = self.at(parameter)
+        return tables_of(phases, place.drive, place.angular_frequency, resonant=self.resonant)
+
+
+def _moved(tree: Any, slope: Any, way: Array) -> Any:
+    return jax.tree.map(lambda a, b: a + way * b if eqx.is_inexact_array(a) else a, tree, slope)
+
+
+class FrequencyPath(AbstractPath):
+    """The drive frequency changes."""
+
+    equations: LinearEquations
+    drive: AbstractDrive
+    unit: Float[Array, "..."]
+    """Angular frequency of a parameter of 1."""
+    phases: ContactPhases | None
+
+    def at(self, parameter: Float[Array, ""]) -> Place:
+        """Return the same system at another frequency."""
+        return Place(self.equations, self.drive, parameter * self.unit)
+
+    def tables(self, parameter: Float[Array, ""]) -> Tables:
+        """Return the exact propagators at another frequency (linear stops only)."""
+        assert self.phases is not None
+        return tables_of(self.phases, self.drive, parameter * self.unit)
+
+
+class ParameterPath(AbstractPath):
+    """A named number of the user's function changes, the drive frequency stays."""
+
+    make: Callable[..., AbstractSystem] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    fixed: dict[str, Any]
+    static: dict[str, Any] = eqx.field(static=True)
+    """What is not a number, such as counts and names."""
+    frequency: Float[Array, "..."]
+    is_ratio: bool = eqx.field(static=True)
+
+    def at(self, parameter: Float[Array, ""]) -> Place:
+        """Make the system anew."""
+        system = self.make(**self.static, **self.fixed, **{self.name: parameter})
+        equations = system.equations()
+        assert isinstance(equations, LinearEquations)
+        unit = equations.angular_frequency[0] if self.is_ratio else 2 * jnp.pi
+        return Place(equations, system.drive, self.frequency * unit)
+
+
+def localise(
+    paths: AbstractPath, lane: np.ndarray, parameter: Float[AnyArray, " points"], exact: bool
+) -> LocalPath:
+    """Return the paths of some lanes near some values, stacked along the points."""
+    if isinstance(paths, FrequencyPath):
+        equations, drive, unit, phases = (
+            jax.tree.map(lambda a: np.asarray(a)[lane] if eqx.is_array(a) else a, part)
+            for part in (paths.equations, paths.drive, paths.unit, paths.phases)
+        )
+        place = Place(equations, drive, jnp.asarray(parameter * unit))
+        still = jax.tree.map(np.zeros_like, place)
+        slope = eqx.tree_at(lambda p: p.angular_frequency, still, np.asarray(unit))
+        resonant = can_resonate(phases)
+        return LocalPath(jnp.asarray(parameter), place, slope, phases, None, resonant)
+    here = jax.tree.map(lambda a: np.asarray(a)[lane] if eqx.is_array(a) else a, paths)
+    local = _localise(here, parameter, exact)
+    return replace(local, resonant=can_resonate(local.phases))
+
+
+@eqx.filter_jit
+def _localise(paths: AbstractPath, parameter: Float[AnyArray, " points"], exact: bool) -> LocalPath:
+    def one(path, p):
+        def value(p):
+            place = path.at(p)
+            return place, contact_phases(place.equations) if exact else None
+
+        (place, phases), (slope, phases_slope) = eqx.filter_jvp(value, (p,), (jnp.ones_like(p),))
+        fill = lambda a, b: jnp.zeros_like(a) if b is None else b  # noqa: E731
+        slope = jax.tree.map(fill, place, slope)
+        phases_slope = jax.tree.map(fill, phases, phases_slope) if exact else None
+        return LocalPath(p, place, slope, phases, phases_slope, True)
+
+    return jax.vmap(one)(paths, parameter)
+
+
+def frequency_path(system: AbstractSystem, is_ratio: bool, exact: bool) -> FrequencyPath:
+    """Make the path along the drive frequency (a ratio to the first natural one, or Hz)."""
+    equations = system.equations()
+    assert isinstance(equations, LinearEquations)
+    unit = equations.angular_frequency[0] if is_ratio else jnp.asarray(2 * jnp.pi)
+    phases = contact_phases(equations) if exact else None
+    return FrequencyPath(equations, system.drive, unit, phases)

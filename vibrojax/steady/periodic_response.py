@@ -1,0 +1,249 @@
+"""The periodic response itself, at one point: exact, with stability and derivatives."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from vibrojax._tools.checks import check_count, check_one_number, check_range, is_traced
+from vibrojax._tools.signatures import validated
+from vibrojax._tools.warn import warn
+from vibrojax.branches.tracing import REPAIRS
+from vibrojax.model.states import ABOUT_STATES, as_state
+from vibrojax.model.systems import AbstractSystem, LinearEquations, as_arrays, check_is_system
+from vibrojax.steady.balanced_motion import balanced_strobes, read_balanced, solve_balance
+from vibrojax.steady.contact_times import MOST_EVENTS, Events, Orbit, follow_events
+from vibrojax.steady.exact_point import Guess, exact_point
+from vibrojax.steady.implicit import frozen
+from vibrojax.steady.methods import HarmonicBalance, Shooting, check_balance
+from vibrojax.steady.orbit_reading import find_crossings, read_course, state_at
+from vibrojax.steady.paths import FrequencyPath, frequency_path
+from vibrojax.steady.periodic_result import PeriodicResponse, reading_of
+from vibrojax.steady.shooting import shoot
+from vibrojax.steady.starting import sampled_motion, settled_motion
+from vibrojax.stepping.choice import is_exact
+
+lax = jax.lax
+
+MOST_RESIDUAL = 0.1
+"""Residual of a balance on a finer grid at which it is no motion."""
+
+
+@validated(traceable=True)
+def periodic_response(
+    system: AbstractSystem,
+    *,
+    frequency_ratio: ArrayLike | None = None,
+    frequency: ArrayLike | None = None,
+    period: int = 1,
+    guess: PeriodicResponse | ArrayLike | Sequence[float] | None = None,
+    method: Shooting | HarmonicBalance | None = None,
+    tolerance: float = 1e-4,
+) -> PeriodicResponse:
+    """Solve for the steady state: a motion that returns after `period` drive periods.
+
+    It can be differentiated with respect to every number in the system and the frequency, in
+    forward and reverse mode, and mapped with `jax.vmap`, in both nestings. Derivatives are those of
+    the solution (implicit), never of the search or of a transient.
+
+    Parameters:
+        system: what moves.
+        frequency_ratio, frequency: drive frequency, one of the two (ratio to the first natural
+            frequency of the unstopped system, or Hz).
+        period: drive periods after which the motion repeats.
+        guess: where Newton's method starts: a `PeriodicResponse`, or a state at drive phase 0: what
+            `system.state(displacement=..., velocity=...)` makes of displacements, one of
+            `history.states`, or (q, q') in the coordinates of the system, those of its modes for a
+            beam and for matrices, the memories of stops behind them. By default a march from rest
+            until it settles.
+        method: `Shooting()` or `HarmonicBalance()`. By default linear stops are solved exactly
+            between their contact times (shooting through exact propagators), other stops by
+            harmonic balance, stops with an internal state, modes that fall away and other systems
+            by shooting.
+        tolerance: relative error to aim at, where the solution is not exact.
+
+    Raises `ValueError` for a period below 1, settings that contradict each other, a tolerance out
+    of reach, or a method that cannot take the system. A search that fails is flagged in `status`.
+    Where a guess led elsewhere, to a motion that lies far from it (`guess_distance`) or repeats
+    sooner than asked for (`minimal_period`), the result says so, and a warning outside of
+    transformations.
+    """
+    check_count("period", period)
+    check_range("tolerance", tolerance, 0.0, 0.1, include_low=False, allowed="above 0, up to 0.1")
+    if (frequency_ratio is None) == (frequency is None):
+        raise ValueError("Give frequency_ratio or frequency, one of the two.")
+    is_ratio = frequency_ratio is not None
+    value = frequency_ratio if is_ratio else frequency
+    name, unit = ("frequency_ratio", "ratio") if is_ratio else ("frequency", "Hz")
+    check_is_system(system)
+    advice = "Use continue_response, frequency_sweep or jax.vmap for many."
+    check_one_number(name, value, unit, advice)
+    if method is not None and not isinstance(method, Shooting | HarmonicBalance):
+        raise ValueError(f"method must be Shooting() or HarmonicBalance(), got {method!r}.")
+    arrays, value = as_arrays(system), jnp.asarray(value, float)
+    equations = eqx.filter_eval_shape(arrays.equations)
+    linear = isinstance(equations, LinearEquations)
+    if is_ratio and not linear:
+        raise ValueError("This system has no natural frequency: give frequency in Hz.")
+    state = None if guess is None else as_state("guess", guess, equations)
+    exact = linear and is_exact(system)
+    shot = not linear or bool(equations.memory_size)
+    if linear and method is None:
+        # About a position that the body falls away from there is no steady response to start from.
+        shot = shot or equations.stiffness_sign is not None
+    if isinstance(method, HarmonicBalance):
+        check_balance(equations.stops)
+    if isinstance(method, Shooting) or shot:
+        if isinstance(method, HarmonicBalance):
+            raise ValueError(
+                f"{type(system).__name__} is not linear but for its stops, which harmonic balance "
+                "needs. Use method=Shooting()."
+            )
+        found = shoot(arrays, value, is_ratio, period, state, method or Shooting(), exact)
+    elif method is None and (exact or not equations.stops):
+        found = _exactly(arrays, value, is_ratio, period, state)
+    elif not equations.stops:
+        raise ValueError("HarmonicBalance() needs a stop; leave method out for a linear system.")
+    else:
+        balance = HarmonicBalance() if method is None else method
+        balance.check_reach(tolerance)
+        samples, harmonics = balance.samples_for(tolerance), balance.harmonics
+        found = _by_balance(arrays, value, is_ratio, period, state, samples, harmonics, exact)
+    if guess is not None and not is_traced(found.status):
+        _warn_of_guess(found)
+    return found
+
+
+def _warn_of_guess(found: PeriodicResponse) -> None:
+    """Warn where the guess led to no motion, or elsewhere."""
+    if not found.converged or found.notes:
+        warn(f"From this guess: {found.sentence} {ABOUT_STATES}")
+
+
+@eqx.filter_jit
+def _exactly(system, value, is_ratio, period, state) -> PeriodicResponse:
+    path = frequency_path(system, is_ratio, True)
+    found = _solved_exactly(frozen(path), frozen(value), period, frozen(state))
+    # One Newton step from the solution, in which only the numbers of the system are
+    # differentiated, has the value of the solution and its implicit derivative.
+    tables = path.tables(value)
+    start = found.orbit.state
+    course = follow_events(tables, found.events, found.orbit, period)
+    gap = jnp.where(found.valid, course.end - start, 0.0)
+    start = start + jnp.linalg.solve(jnp.eye(start.size) - found.matrix, gap)
+    orbit = Orbit(start, found.orbit.times)
+    course = follow_events(tables, found.events, orbit, period)
+    reading = read_course(tables, found.events, course, period)
+    phases = 2 * np.pi * jnp.arange(period)
+    strobes = jax.vmap(lambda phase: state_at(tables, course, phase, found.events.section, period))(
+        phases
+    )
+    return reading_of(
+        system,
+        path.at(value),
+        reading,
+        period=period,
+        strobes=strobes,
+        guess=state,
+        multipliers=found.multipliers,
+        residual=found.residual,
+        converged=found.valid,
+        exact=True,
+    )
+
+
+class _Solution(NamedTuple):
+    """An exact motion, as constants."""
+
+    events: Events
+    orbit: Orbit
+    matrix: Float[Array, "states states"]
+    """Monodromy matrix in (q, q')."""
+    multipliers: Array
+    residual: Array
+    valid: Array
+
+
+def _solved_exactly(path: FrequencyPath, value, period: int, state) -> _Solution:
+    """Find the motion and its sequence of contacts; no derivatives."""
+    assert path.phases is not None
+    weight = path.phases.weight
+    if not path.equations.stops:
+        nothing = jnp.full(MOST_EVENTS, -1, jnp.int32)
+        times = jnp.zeros(MOST_EVENTS) + 2 * np.pi * period
+        events = Events(nothing, jnp.zeros((), jnp.int32), jnp.zeros(()))
+        # One period from rest is all there is to know of a linear motion, damped or not.
+        rest = Orbit(jnp.zeros_like(weight), times)
+        once = follow_events(path.tables(value), events, rest, period, with_jacobian=True)
+        assert once.jacobian is not None
+        state = jnp.linalg.solve(jnp.eye(weight.size) - once.jacobian, once.end)
+        first = Guess(events, Orbit(state, times), jnp.asarray(True))
+    else:
+        if state is None:
+            state = settled_motion(path, value, period, exact=True)
+        depth, change, states = sampled_motion(path, value, state, period, exact=True)
+        found = find_crossings(depth, change, MOST_EVENTS, period)
+        # The section is moved to the nearest sample, whose state is known.
+        angle = 2 * np.pi * period * jnp.arange(states.shape[0]) / states.shape[0]
+        nearest = jnp.argmin(jnp.abs(angle - found.events.section))
+        events = found.events._replace(section=angle[nearest])
+        first = Guess(events, Orbit(states[nearest], found.times), found.number <= MOST_EVENTS)
+
+    def attempt(carry, _):
+        guess, best = carry
+        point, course = exact_point(path.tables, guess, value, period, hold=True, iterations=8)
+        matrix = point.monodromy * weight / weight[:, None]
+        solution = _Solution(
+            guess.events, point.orbit, matrix, point.multipliers, point.residual, point.valid
+        )
+        best = jax.tree.map(lambda a, b: jnp.where(best.valid, a, b), best, solution)
+        if not path.equations.stops:
+            return (guess, best), None
+        reading = point.reading
+        again = find_crossings(reading.depth, reading.change, MOST_EVENTS, period)
+        section = again.events.section
+        there = state_at(path.tables(value), course, section, guess.events.section, period)
+        following = Guess(again.events, Orbit(there, again.times), again.number <= MOST_EVENTS)
+        return (following, best), None
+
+    n = state.size
+    blank = _Solution(
+        first.events,
+        first.orbit,
+        jnp.zeros((n, n)),
+        jnp.zeros(n, complex),
+        jnp.asarray(jnp.inf),
+        jnp.asarray(False),
+    )
+    (_, best), _ = lax.scan(attempt, (first, blank), None, length=1 + REPAIRS)
+    return best
+
+
+@eqx.filter_jit
+def _by_balance(system, value, is_ratio, period, state, samples, harmonics, exact):
+    path = frequency_path(system, is_ratio, False)
+    place, still = path.at(value), frozen(path).at(frozen(value))
+    start = frozen(state)
+    if start is None:
+        start = settled_motion(frozen(path), frozen(value), period, exact)
+    depth, _, _ = sampled_motion(frozen(path), frozen(value), start, period, exact)
+    spectrum, converged = solve_balance(place, still, depth, samples, period, harmonics)
+    reading = read_balanced(place, spectrum, period)
+    # Next to an undamped resonance the samples do not tell the motion.
+    converged = converged & (reading.residual < MOST_RESIDUAL)
+    return reading_of(
+        system,
+        place,
+        reading,
+        period=period,
+        strobes=balanced_strobes(place, spectrum, period),
+        guess=state,
+        multipliers=reading.multipliers,
+        residual=lax.stop_gradient(reading.residual),
+        converged=converged,
+        exact=False,
+    )

@@ -1,0 +1,260 @@
+"""From a state to the steady state it leads to: march, recognise, polish.
+
+A steady state is recognised on the stroboscopic map: the state returns after n drive periods, and
+the geometric decay of the returns says how far away the limit still is. Where it is near, Newton's
+method on the map of n periods (Jacobian in forward mode through the stepper) puts the state on the
+orbit; only a stable orbit, close to where the march was, is accepted, so the march alone decides
+which attractor it is. The rest marches on.
+"""
+
+from types import ModuleType
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
+
+from vibrojax._tools.types import AnyArray
+from vibrojax.results.status import Status
+from vibrojax.stepping.measures import Measures
+from vibrojax.stepping.method import AbstractMarch
+
+lax = jax.lax
+
+NEAR = 1e-3
+"""Relative distance from the limit at which Newton's method is tried."""
+NEWTON_STEPS = 3
+CLOSED = 1e-5
+"""Relative return before the last Newton step that shows the steps converge: they square it."""
+STEADY = 3
+"""Periods in a row that have to look settled."""
+APERIODIC_PERIODS = 24
+"""Periods over which a motion without a period is measured."""
+
+
+class Settled(NamedTuple):
+    """What a lane came to at one frequency."""
+
+    state: Float[Array, "states *lanes"]
+    period: Int[Array, "*lanes"]
+    status: Int[Array, "*lanes"]
+    periods_marched: Int[Array, "*lanes"]
+    steps: Int[Array, "*lanes"]
+    window: Int[Array, "*lanes"]
+    """Drive periods measured."""
+    measures: Measures
+
+
+class Search(NamedTuple):
+    """How far the march of a lane to its steady state has come."""
+
+    history: Float[Array, "strobes states *lanes"]
+    """Weighted states at the last drive periods, the newest first."""
+    last_error: Float[Array, "orders *lanes"]
+    streak: Int[Array, "*lanes"]
+    marched: Int[Array, "*lanes"]
+    steps: Int[Array, "*lanes"]
+    done: Bool[Array, "*lanes"]
+
+
+def _size(weighted: Float[Array, "..."], axis: int) -> Array:
+    return jnp.sqrt(jnp.sum(weighted**2, axis=axis))
+
+
+def _return_errors(history, max_period):
+    """Estimated relative distance from a period-n limit, for n up to the largest.
+
+    The returns of a converging motion shrink geometrically; their sum is what is left.
+    """
+    now = history[0]
+    size = jnp.maximum(jnp.max(_size(history, 1), axis=0), jnp.finfo(now.dtype).tiny)
+    errors, returns = [], []
+    for n in range(1, max_period + 1):
+        recent = _size(history[0] - history[n], 0)
+        before = _size(history[n] - history[2 * n], 0)
+        ratio = jnp.where(before > 0, recent / jnp.where(before > 0, before, 1.0), 0.0)
+        left = jnp.where(ratio < 1, recent * ratio / jnp.where(ratio < 1, 1 - ratio, 1.0), jnp.inf)
+        # At round-off level the ratio says nothing any more.
+        left = jnp.where(recent < 1e-12 * size, recent, jnp.maximum(left, recent * 0.1))
+        errors.append(left / size)
+        returns.append(recent / size)
+    return jnp.stack(errors), jnp.stack(returns)
+
+
+def begin_search(
+    weighted: Float[AnyArray, "states *lanes"], max_period: int, xp: ModuleType = jnp
+) -> Search:
+    """Return the search of lanes that have not marched yet, in arrays of JAX or of numpy."""
+    lanes = weighted.shape[1:]
+    zero = xp.zeros(lanes, xp.int32)
+    history = xp.broadcast_to(weighted, (2 * max_period + 1, *weighted.shape))
+    far = xp.full((max_period, *lanes), xp.inf)
+    return Search(history, far, zero, zero, zero, xp.zeros(lanes, bool))
+
+
+def march_until(
+    march: AbstractMarch,
+    weight: Float[Array, "states *#lanes"],
+    search: Search,
+    frequency: Float[Array, "*lanes"],
+    tolerance: Float[Array, "*#lanes"],
+    max_periods: Int[ArrayLike, ""],
+    still: Int[ArrayLike, ""] = 0,
+) -> Search:
+    """March the lanes that are not done until their motion returns to within the tolerance.
+
+    Stops as soon as no more than `still` lanes are left.
+    """
+    max_period = search.last_error.shape[0]
+
+    def step(search: Search) -> Search:
+        live = ~search.done
+        state = search.history[0] / weight
+        new, steps, _ = march(state, frequency, live.astype(jnp.int32), False)
+        history = jnp.concatenate([(new * weight)[None], search.history[:-1]])
+        history = jnp.where(live, history, search.history)
+        marched = search.marched + live
+        error, _ = _return_errors(history, max_period)
+        worst = jnp.maximum(error, search.last_error)
+        near = jnp.min(worst, axis=0) <= tolerance
+        full = marched >= 2 * max_period
+        streak = jnp.where(near & full, search.streak + 1, 0)
+        lost = ~jnp.all(jnp.isfinite(history[0]), axis=0)
+        done = search.done | (streak >= STEADY) | lost | (marched >= max_periods)
+        return Search(
+            history=history,
+            last_error=jnp.where(live, error, search.last_error),
+            streak=jnp.where(live, streak, search.streak),
+            marched=marched,
+            steps=search.steps + jnp.where(live, steps, 0),
+            done=done,
+        )
+
+    return lax.while_loop(lambda s: jnp.sum(~s.done) > still, step, search)
+
+
+def found_period(search: Search, tolerance: Float[Array, "*#lanes"]) -> Int[Array, "*lanes"]:
+    """Smallest n with a return within the tolerance; 0 where the march did not look settled."""
+    history, max_period = search.history, search.last_error.shape[0]
+    errors, returns = _return_errors(history, max_period)
+    orders = jnp.arange(1, max_period + 1).reshape((-1,) + (1,) * (errors.ndim - 1))
+    # The order is that of the return itself: a slow period-1 motion is not called period 2.
+    fits = (returns <= 4 * tolerance) | (errors <= tolerance)
+    first = jnp.min(jnp.where(fits, orders, max_period + 1), axis=0)
+    first = jnp.where(first <= max_period, first, 0)
+    return jnp.where(search.streak >= STEADY, first, 0).astype(jnp.int32)
+
+
+def polish(
+    march: AbstractMarch,
+    weight: Float[Array, "states *#lanes"],
+    state: Float[Array, "states *lanes"],
+    frequency: Float[Array, "*lanes"],
+    period: Int[Array, "*lanes"],
+) -> tuple[Float[Array, "states *lanes"], Bool[Array, "*lanes"]]:
+    """Take Newton steps to the orbit of each lane's period; say which ended on a stable orbit.
+
+    Lanes of period 0 stay where they are.
+    """
+    n = state.shape[0]
+    lanes = frequency.ndim
+    eye = jnp.eye(n).reshape((n, n) + (1,) * lanes) * jnp.ones_like(state)
+
+    def image(weighted):
+        return march(weighted / weight, frequency, period, False)[0] * weight
+
+    def newton(carry, _):
+        x, _, _ = carry
+        y, push = jax.linearize(image, x)
+        jacobian = jnp.moveaxis(jax.vmap(push)(eye), 0, 1)  # rows, columns, lanes
+        matrix = jnp.moveaxis(jacobian, (0, 1), (-2, -1))
+        residual = jnp.moveaxis(y - x, 0, -1)[..., None]
+        update = jnp.linalg.solve(jnp.eye(n) - matrix, residual)[..., 0]
+        return (x + jnp.moveaxis(update, -1, 0), matrix, _size(y - x, 0)), None
+
+    start = state * weight
+    matrix = jnp.zeros((*frequency.shape, n, n))
+    (end, matrix, residual), _ = lax.scan(
+        newton, (start, matrix, jnp.zeros_like(frequency)), None, length=NEWTON_STEPS
+    )
+    # Spectral radius below 1: high powers of the Jacobian vanish.
+    power = matrix
+    for _ in range(12):
+        power = power @ power
+    stable = jnp.sqrt(jnp.sum(power**2, axis=(-2, -1))) < 1.0
+    size = _size(start, 0)
+    near = _size(end - start, 0) <= 5 * NEAR * size
+    closed = residual <= CLOSED * size
+    good = stable & near & closed & (period > 0) & jnp.all(jnp.isfinite(end), axis=0)
+    return jnp.where(good, end, start) / weight, good
+
+
+def settle(
+    march: AbstractMarch,
+    state: Float[Array, "states *lanes"],
+    frequency: Float[Array, "*lanes"],
+    *,
+    tolerance: Float[ArrayLike, ""],
+    max_period: int,
+    max_periods: Int[ArrayLike, ""],
+) -> Settled:
+    """Bring every lane to its steady state at its drive angular frequency (rad/s), and measure it.
+
+    `tolerance` is relative to the size of the state in the norm of energy.
+    """
+    lanes = frequency.ndim
+    weight = march.energy_weight()
+    weight = weight.reshape(weight.shape + (1,) * (lanes + 1 - weight.ndim))
+    zero = jnp.zeros(frequency.shape, jnp.int32)
+
+    def march_and_polish(carry, rule):
+        search, state, good, orbit = carry
+        limit, try_newton = rule
+        done = good | (search.marched >= max_periods)
+        search = search._replace(streak=zero, done=done)
+        search = march_until(march, weight, search, frequency, limit, max_periods)
+        period = found_period(search, limit)
+        found = search.history[0] / weight
+        state, orbit = jnp.where(good, state, found), jnp.where(good, orbit, period)
+
+        def try_period(carry, candidate):
+            # Period 1 first: a slowly turning period-1 motion returns best after several periods.
+            state, good, orbit, last = carry
+            wanted = jnp.where(good | (candidate == last), 0, candidate)
+            polished, fits = polish(march, weight, found, frequency, wanted)
+            state = jnp.where(fits, polished, state)
+            return (state, good | fits, jnp.where(fits, candidate, orbit), candidate), None
+
+        candidates = jnp.stack([jnp.minimum(period, 1), period]) * try_newton
+        (state, good, orbit, _), _ = lax.scan(try_period, (state, good, orbit, zero), candidates)
+        return (search, state, good, orbit), None
+
+    # Near the limit first, for Newton's method; what that does not settle goes on to the full
+    # tolerance. One loop for both, so that the march is compiled once.
+    nobody = jnp.zeros(frequency.shape, bool)
+    start = (begin_search(state * weight, max_period), state, nobody, zero)
+    limits = jnp.stack([jnp.asarray(NEAR), jnp.asarray(tolerance, float)])
+    rules = (limits, jnp.array([1, 0], jnp.int32))
+    (final, state, _, period), _ = lax.scan(march_and_polish, start, rules)
+    lost = ~jnp.all(jnp.isfinite(state), axis=0)
+    # A lane that is lost starts again from rest at the next frequency.
+    state = jnp.where(lost, 0.0, state)
+    window = jnp.where(lost, 0, jnp.where(period > 0, period, APERIODIC_PERIODS))
+    end, steps, measures = march(state, frequency, window.astype(jnp.int32), True)
+    assert measures is not None  # a march that observes has them
+    status = jnp.where(
+        lost,
+        Status.diverged.value,
+        jnp.where(period > 0, Status.settled.value, Status.aperiodic.value),
+    )
+    # Periodic lanes go on from the orbit itself, the others from where the measuring ended.
+    state = jnp.where((period == 0) & jnp.all(jnp.isfinite(end), axis=0), end, state)
+    return Settled(
+        state=state,
+        period=period.astype(jnp.int32),
+        status=status.astype(jnp.int32),
+        periods_marched=final.marched,
+        steps=final.steps + steps,
+        window=jnp.maximum(window, 1).astype(jnp.int32),
+        measures=measures,
+    )

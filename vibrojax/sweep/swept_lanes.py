@@ -1,0 +1,296 @@
+"""The engine of sweeps: rigs through a grid of frequencies in each direction, then their jumps."""
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.systems import AbstractEquations, AbstractSystem, LinearEquations
+from vibrojax.results.status import Status
+from vibrojax.stepping.measures import Measures
+from vibrojax.stepping.method import AbstractMarch, AbstractMethod, with_traced_numbers
+from vibrojax.stepping.resonance import is_unbounded, unbounded_at
+from vibrojax.sweep.jumps import Jumps, find_jumps
+from vibrojax.sweep.lane_pool import Arrived, LanePool, Onwards
+
+EXTENSIONS = 4
+"""Grid steps that a jump is followed beyond the one in which the sweep left its branch."""
+
+
+class SweepPlan(NamedTuple):
+    """What a sweep is to do, apart from the rigs it is done with."""
+
+    axis: str
+    """`frequency_ratio` or `frequency` (Hz)."""
+    grid: Float[np.ndarray, " frequencies"]
+    directions: tuple[str, ...]
+    method: AbstractMethod
+    tolerance: float
+    max_period: int
+    max_periods: int
+    refine_jumps: float | None
+
+
+class Rigs(eqx.Module):
+    """Equations and drives of some rigs, stacked along a leading axis."""
+
+    equations: AbstractEquations
+    drive: AbstractDrive
+
+
+class Prepared(eqx.Module):
+    """What is computed of each rig before it is swept; rigs as the trailing axis."""
+
+    march: AbstractMarch
+    first_frequency: Float[Array, "*rigs"]
+    """First natural frequency of the unstopped system, rad/s."""
+    reference: Float[Array, "*rigs"]
+    """What responses are divided by: the amplitude of the drive."""
+    resonances: Float[Array, "modes *rigs"]
+    """Drive frequencies at which the motion grows without bound, rad/s; NaN for other modes."""
+
+
+@eqx.filter_jit
+def rigs_of(systems: AbstractSystem) -> Rigs:
+    """Compute the equations of systems that are stacked along a leading axis."""
+    return eqx.filter_vmap(lambda system: Rigs(system.equations(), system.drive))(systems)
+
+
+@eqx.filter_jit
+def _prepare(method: AbstractMethod, rigs: Rigs) -> Prepared:
+    def one(rig: Rigs) -> Prepared:
+        reference, _ = rig.drive.reference
+        first = _first_frequency(rig.equations)
+        march = method.prepare(rig.equations, rig.drive)
+        resonances = unbounded_at(rig.equations, rig.drive)
+        return Prepared(march, first, jnp.asarray(reference), resonances)
+
+    return eqx.filter_vmap(one, out_axes=-1)(rigs)
+
+
+def _first_frequency(equations: AbstractEquations) -> Array:
+    if isinstance(equations, LinearEquations):
+        return equations.angular_frequency[0]
+    return jnp.asarray(jnp.nan)
+
+
+def prepare(method: AbstractMethod, rigs: Rigs) -> Prepared:
+    """Make rigs ready to be marched."""
+    numbers = with_traced_numbers(method)
+    return _prepare(numbers, rigs)
+
+
+class Swept(NamedTuple):
+    """What the rigs of a sweep came to. Curves have the shape (rigs, directions, frequencies)."""
+
+    curves: dict[str, np.ndarray]
+    states: Float[np.ndarray, "rigs directions frequencies states"]
+    """(q, q') at drive phase 0."""
+    jumps: Jumps
+    natural_frequency: Float[np.ndarray, " rigs"]
+    """Hz."""
+
+
+def ratios_of(m: Measures, window: Any, reference: Any, xp: ModuleType = np) -> dict[str, Any]:
+    """Turn sums over so many drive periods into variables, in arrays of numpy or of JAX."""
+    time = xp.where(m.time > 0, m.time, 1.0)
+    harmonic = xp.hypot(m.integral_with_sine, m.integral_with_cosine) * 2 / time
+    return {
+        "amplitude_ratio": (m.highest - m.lowest) / 2 / reference,
+        "peak_ratio": xp.maximum(m.highest, -m.lowest) / reference,
+        "rms_ratio": xp.sqrt(m.integral_of_square / time) / reference,
+        "first_harmonic_ratio": harmonic / reference,
+        "contact_force": m.force,
+        "contact_fraction": m.contact_time / time,
+        "contacts_per_period": m.contacts / window,
+    }
+
+
+def _variables(arrived: Arrived, reference: Float[np.ndarray, " lanes"]) -> dict[str, np.ndarray]:
+    """Return the variables of some lanes."""
+    values = ratios_of(arrived.measures, arrived.window, reference)
+    lost = np.isin(arrived.status, (Status.diverged.value, Status.unbounded.value))
+    return {name: np.where(lost, np.nan, v) for name, v in values.items()} | {
+        "period": arrived.period,
+        "status": arrived.status,
+        "periods_marched": arrived.periods_marched,
+        "steps": arrived.steps,
+    }
+
+
+class _Grid:
+    """The course of every lane through the grid, upwards or downwards."""
+
+    def __init__(self, plan: SweepPlan, lanes: int, states: int, unit: np.ndarray, reference):
+        self.grid, self.unit, self.reference = plan.grid, unit, reference
+        backward = [d == "backward" for d in plan.directions]
+        self.backward = np.tile(backward, lanes // len(backward))
+        self.visited = np.zeros(lanes, int)
+        self.curves: dict[str, np.ndarray] = {}
+        self.states = np.empty((lanes, len(plan.grid), states))
+
+    def column(self, lanes: np.ndarray) -> np.ndarray:
+        """Where in the grid some lanes are, held inside where they are through."""
+        last = len(self.grid) - 1
+        at = np.minimum(self.visited[lanes], last)
+        return np.where(self.backward[lanes], last - at, at)
+
+    def frequency(self, lanes: np.ndarray) -> np.ndarray:
+        """Angular frequency of some lanes, rad/s."""
+        return self.grid[self.column(lanes)] * self.unit[lanes]
+
+    def onwards(self, arrived: Arrived) -> Onwards:
+        """Store what some lanes came to and send them to the next point of the grid."""
+        k = arrived.lanes
+        at = self.column(k)
+        for name, values in _variables(arrived, self.reference[k]).items():
+            if name not in self.curves:
+                self.curves[name] = np.empty((len(self.visited), len(self.grid)), values.dtype)
+            self.curves[name][k, at] = values
+        self.states[k, at] = arrived.state
+        self.visited[k] += 1
+        return Onwards(self.visited[k] < len(self.grid), self.frequency(k), arrived.state)
+
+
+class _Bisection:
+    """The course of lanes that jump: halve the bracket, each try starting before the jump."""
+
+    def __init__(self, bracket, start, end, settled_before, state, halvings, unit, reference):
+        self.low, self.high = bracket[:, 0].copy(), bracket[:, 1].copy()  # before, after
+        self.start, self.end, self.settled_before = start.copy(), end, settled_before
+        self.state, self.halvings, self.unit, self.reference = state, halvings, unit, reference
+        self.span = self.high - self.low
+        self.tried = np.zeros(len(start), int)
+        self.extended = np.zeros(len(start), int)
+        self.inside = np.zeros(len(start), bool)
+
+    def frequency(self, lanes: np.ndarray) -> np.ndarray:
+        """Angular frequency of the middle of the bracket, rad/s."""
+        return (self.low + self.high)[lanes] / 2 * self.unit[lanes]
+
+    def onwards(self, arrived: Arrived) -> Onwards:
+        """Keep the half that holds the jump."""
+        k = arrived.lanes
+        found = _variables(arrived, self.reference[k])
+        value, middle = found["amplitude_ratio"], (self.low + self.high)[k] / 2
+        same = np.abs(value - self.start[k]) < np.abs(value - self.end[k])
+        # Just past a fold a lane lingers near the lost branch without settling on it.
+        same &= (found["period"] > 0) | ~self.settled_before[k]
+        self.inside[k] |= ~same
+        self.low[k] = np.where(same, middle, self.low[k])
+        self.high[k] = np.where(same, self.high[k], middle)
+        self.start[k] = np.where(same, value, self.start[k])
+        self.state[k] = np.where(same[:, None], arrived.state, self.state[k])
+        self.tried[k] += 1
+        # A coarse grid step can leave the branch ahead of its end: then look further on.
+        through = self.tried[k] >= self.halvings[k]
+        further = through & ~self.inside[k] & (self.extended[k] < EXTENSIONS - 1)
+        self.high[k] = np.where(further, self.low[k] + self.span[k], self.high[k])
+        self.extended[k] += further
+        self.tried[k] = np.where(further, 0, self.tried[k])
+        return Onwards(~through | further, self.frequency(k), self.state[k])
+
+
+def sweep_rigs(
+    plan: SweepPlan,
+    rigs: Rigs,
+    tell: Callable[[int], object] = lambda count: None,
+    warn: Callable[[str], object] = lambda sentence: None,
+) -> Swept:
+    """Sweep all rigs; `tell` hears how many points were reached, `warn` what cannot be."""
+    prepared = prepare(plan.method, rigs)
+    first = np.asarray(prepared.first_frequency)
+    unit = first if plan.axis == "frequency_ratio" else np.full(len(first), 2 * np.pi)
+    count, ways = len(first), len(plan.directions)
+    resonances = np.asarray(prepared.resonances)[..., None]
+    grows = np.any(is_unbounded(resonances, unit[:, None] * plan.grid, np), axis=0)
+    if grows.any():
+        where = ", ".join(f"{value:.6g}" for value in plan.grid[grows])
+        warn(
+            f"{plan.axis} = {where}: {Status.unbounded.sentence} These points are not marched and "
+            "have the status 'unbounded'. Give the rig some damping, or leave them out."
+        )
+    rig = np.repeat(np.arange(count), ways)
+    states = prepared.march.energy_weight().shape[0]
+    course = _Grid(plan, len(rig), states, unit[rig], np.asarray(prepared.reference)[rig])
+    every = np.arange(len(rig))
+    pool = _pool(plan, prepared, rig)
+    pool.run(np.zeros((len(rig), states)), course.frequency(every), course, tell)
+    shape = (count, ways, len(plan.grid))
+    curves = {name: values.reshape(shape) for name, values in course.curves.items()}
+    found = find_jumps(curves["amplitude_ratio"], curves["status"], plan.directions)
+    found.fill_brackets(plan.grid)
+    swept = Swept(curves, course.states.reshape(*shape, states), found, first / (2 * np.pi))
+    if plan.refine_jumps is not None and found.any():
+        _refine(plan, plan.refine_jumps, prepared, swept, unit)
+    return swept
+
+
+def _pool(plan: SweepPlan, prepared: Prepared, rig: np.ndarray) -> LanePool:
+    tolerance = 1e-2 * plan.tolerance
+    resonances = np.asarray(prepared.resonances)[:, rig]
+    return LanePool(prepared.march, rig, resonances, tolerance, plan.max_period, plan.max_periods)
+
+
+def _refine(
+    plan: SweepPlan, width: float, prepared: Prepared, swept: Swept, unit: np.ndarray
+) -> None:
+    """Bisect every jump from the state before it until its bracket is as narrow as `width`."""
+    rig, way = np.nonzero(swept.jumps.exists)
+    before, after = swept.jumps.before[rig, way], swept.jumps.after[rig, way]
+    bracket = swept.jumps.bracket[rig, way]
+    scale = 1.0 if plan.axis == "frequency_ratio" else swept.natural_frequency[rig]
+    parts = np.abs(bracket[:, 1] - bracket[:, 0]) / scale / width
+    halvings = np.ceil(np.log2(np.maximum(parts, 1.0))).astype(int)
+    wide = halvings > 0
+    if not wide.any():
+        return
+    rig, way, before, after = rig[wide], way[wide], before[wide], after[wide]
+    amplitude = swept.curves["amplitude_ratio"]
+    course = _Bisection(
+        bracket[wide],
+        amplitude[rig, way, before],
+        amplitude[rig, way, after],
+        swept.curves["period"][rig, way, before] > 0,
+        swept.states[rig, way, before].copy(),
+        halvings[wide],
+        unit[rig],
+        np.asarray(prepared.reference)[rig],
+    )
+    pool = _pool(plan, prepared, rig)
+    pool.run(course.state, course.frequency(np.arange(len(rig))), course)
+    low_high = np.array(swept.jumps.bracket)
+    low_high[rig, way] = np.stack([course.low, course.high], axis=-1)
+    swept.jumps.set_brackets(low_high[..., 0], low_high[..., 1])
+
+
+def before_jumps(swept: Swept) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return the states from which the response jumps up and down, and whether they touch nothing.
+
+    States have the shape (rigs, states), NaN where there is no jump.
+    """
+    found = {}
+    for name, wanted in (("jump_up", swept.jumps.rises), ("jump_down", ~swept.jumps.rises)):
+        states = np.full((len(swept.states), swept.states.shape[-1]), np.nan)
+        free = np.zeros(len(states), bool)
+        rig, way = np.nonzero(swept.jumps.exists & wanted)
+        at = rig, way, swept.jumps.before[rig, way]
+        states[rig], free[rig] = swept.states[at], swept.curves["contact_force"][at] == 0
+        found[name] = states, free
+    return found
+
+
+def numbers_of_jumps(swept: Swept) -> dict[str, Any]:
+    """Return the brackets of the jumps (rigs, 2), low end first, and their middles (rigs,)."""
+    up, down = swept.jumps.up_and_down()
+    return {
+        "jump_up": up.mean(axis=-1),
+        "jump_down": down.mean(axis=-1),
+        "jump_up_bracket": up,
+        "jump_down_bracket": down,
+    }
