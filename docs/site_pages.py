@@ -67,7 +67,7 @@ def sentences(paths: list[str]) -> dict[str, str]:
 
 
 def names_by_page() -> dict[str, list[str]]:
-    """Return the paths (`vibrojax.` and a public name) that each page of the reference documents."""
+    """Return the public names that each page of the reference documents, as `vibrojax.name`."""
     listed = {}
     for path in sorted((DOCS / "api").glob("*.md")):
         names = re.findall(r"^::: (vibrojax[.\w]+)$", path.read_text(), re.MULTILINE)

@@ -17,9 +17,9 @@ from vibrojax.branches.branch import SpecialPoint as SpecialPoint
 from vibrojax.branches.coexisting import coexisting_responses as coexisting_responses
 from vibrojax.branches.coexisting_result import Coexisting as Coexisting
 from vibrojax.branches.continue_response import continue_response as continue_response
+from vibrojax.branches.fold_curves import FoldCurve as FoldCurve
+from vibrojax.branches.fold_curves import FoldCurves as FoldCurves
 from vibrojax.branches.fold_curves import fold_curves as fold_curves
-from vibrojax.branches.fold_curves_result import FoldCurve as FoldCurve
-from vibrojax.branches.fold_curves_result import FoldCurves as FoldCurves
 from vibrojax.branches.folds import Fold as Fold
 from vibrojax.branches.folds import fold_response as fold_response
 from vibrojax.ensemble.arguments import zipped as zipped
@@ -100,8 +100,8 @@ from vibrojax.regime.lyapunov import lyapunov_exponent as lyapunov_exponent
 from vibrojax.regime.lyapunov_result import LyapunovExponent as LyapunovExponent
 from vibrojax.regime.regimes import regimes as regimes
 from vibrojax.regime.regimes_result import Regimes as Regimes
-from vibrojax.resolution.check import check_resolution as check_resolution
-from vibrojax.resolution.result import ResolutionCheck as ResolutionCheck
+from vibrojax.resolution import ResolutionCheck as ResolutionCheck
+from vibrojax.resolution import check_resolution as check_resolution
 from vibrojax.results.status import Status as Status
 from vibrojax.steady.methods import HarmonicBalance as HarmonicBalance
 from vibrojax.steady.methods import Shooting as Shooting

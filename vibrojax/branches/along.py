@@ -8,6 +8,7 @@ import numpy as np
 from vibrojax._tools.checks import check_positive
 from vibrojax._tools.described import in_short, recipe
 from vibrojax.ensemble.arguments import Arguments, arguments_of
+from vibrojax.ensemble.frequencies import check_drive
 from vibrojax.ensemble.lanes import check_lists, check_no_numbers, made_by
 from vibrojax.model.systems import (
     AbstractEquations,
@@ -17,7 +18,6 @@ from vibrojax.model.systems import (
     equations_of,
 )
 from vibrojax.steady.methods import check_balance
-from vibrojax.sweep.frequency_sweep import check_drive
 
 
 class Along(NamedTuple):

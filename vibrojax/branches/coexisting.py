@@ -20,10 +20,10 @@ from vibrojax.branches.branch import Branch
 from vibrojax.branches.coexisting_result import Coexisting, Motion
 from vibrojax.branches.continue_response import continue_response
 from vibrojax.branches.lane_paths import frequency_paths
-from vibrojax.branches.tracing import take
 from vibrojax.model.systems import AbstractSystem, as_arrays, check_made
 from vibrojax.results.status import Status
-from vibrojax.steady.settled_start import settled
+from vibrojax.steady.batches import take
+from vibrojax.steady.starting import settled
 from vibrojax.stepping.choice import is_exact
 
 SAME = 1e-3

@@ -18,8 +18,9 @@ from vibrojax.branches.special_points import (
     parabola_vertex,
     refine,
 )
-from vibrojax.branches.tracing import Traced, exact_from, make_exact, take
+from vibrojax.branches.tracing import Traced, exact_from, make_exact
 from vibrojax.steady.balanced_motion import read_all
+from vibrojax.steady.batches import take
 from vibrojax.steady.exact_point import ExactPoint, Guess
 from vibrojax.steady.paths import AbstractPath
 

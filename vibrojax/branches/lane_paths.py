@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.branches.along import Along
-from vibrojax.branches.tracing import in_batches
 from vibrojax.ensemble.lanes import stacked
 from vibrojax.model.systems import AbstractSystem
+from vibrojax.steady.batches import in_batches
 from vibrojax.steady.paths import AbstractPath, ParameterPath, frequency_path, localise
 
 

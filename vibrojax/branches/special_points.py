@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from vibrojax.branches.tracing import in_batches, make_exact, take
+from vibrojax.branches.tracing import make_exact
+from vibrojax.steady.batches import in_batches, take
 from vibrojax.steady.condensed import receptance
 from vibrojax.steady.exact_point import ExactPoint
 from vibrojax.steady.paths import AbstractPath, FrequencyPath, localise

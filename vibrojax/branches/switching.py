@@ -8,11 +8,11 @@ import numpy as np
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continuation import LONGEST_STEP, Ending
 from vibrojax.branches.plan import Plan, Resolution
-from vibrojax.branches.tracing import Traced, take
+from vibrojax.branches.tracing import Traced
 from vibrojax.branches.work import BranchWork
+from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath
-from vibrojax.steady.settled_start import sampled_depth
-from vibrojax.steady.starting import stepper
+from vibrojax.steady.starting import sampled_depth, stepper
 
 
 def switch_branch(

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Complex, Float
 
 from vibrojax._tools.types import AnyArray
 from vibrojax.branches.continuation import Ending, Settings, Trace, follow
+from vibrojax.steady.batches import REPAIRS, in_batches, take
 from vibrojax.steady.condensed import (
     balance,
     cell_average,
@@ -30,9 +31,6 @@ from vibrojax.stepping.resonance import is_unbounded, undamped_at
 WIDTHS = (1, 32)
 """Lanes in one loop; the number compiled is the least of these that holds them all."""
 TICKS = 64
-BATCH = 64
-"""Points made exact at a time."""
-REPAIRS = 3
 
 
 class Traced(NamedTuple):
@@ -73,11 +71,6 @@ def free_motion(paths: AbstractPath, parameter, samples: int, period: int):
         return jnp.where(endless, jnp.nan, problem.drive)
 
     return jax.vmap(one)(paths, parameter)
-
-
-def take(tree, index):
-    """Pick lanes of a stacked tree."""
-    return jax.tree.map(lambda a: a[index] if eqx.is_array(a) else a, tree)
 
 
 def trace_branches(
@@ -288,13 +281,3 @@ def _put(whole, part, at):
         return a
 
     return jax.tree.map(put, whole, part)
-
-
-def in_batches(function, count: int, width: int = BATCH):
-    """Run a function of an index over batches of one size, the last one filled up by repeats."""
-    parts = []
-    for first in range(0, count, width):
-        index = np.minimum(np.arange(first, first + width), count - 1)
-        parts.append(function(index))
-    parts = jax.device_get(parts)
-    return jax.tree.map(lambda *a: np.concatenate(a)[:count], *parts)

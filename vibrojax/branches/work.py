@@ -12,11 +12,12 @@ from vibrojax.branches.branch import Branch
 from vibrojax.branches.continuation import Ending, Settings, begin
 from vibrojax.branches.finishing import finish
 from vibrojax.branches.plan import Plan, Resolution
-from vibrojax.branches.tracing import Traced, free_motion, take, trace_branches
+from vibrojax.branches.tracing import Traced, free_motion, trace_branches
 from vibrojax.model.states import ABOUT_STATES, as_state
+from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath
 from vibrojax.steady.periodic_result import ELSEWHERE
-from vibrojax.steady.settled_start import settled_guess
+from vibrojax.steady.starting import settled_guess
 
 CONVERGED = 1e-4
 """Newton correction at which a point to be made exact counts as found; others go on to 1e-8."""

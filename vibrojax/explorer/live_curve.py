@@ -16,10 +16,11 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax.branches.continuation import LONGEST_STEP, Ending, Settings, begin
 from vibrojax.branches.special_points import parabola_vertex
-from vibrojax.branches.tracing import Traced, free_motion, in_batches, take, trace_branches
+from vibrojax.branches.tracing import Traced, free_motion, trace_branches
 from vibrojax.identification.sensor import Sensor, observe
 from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.steady.balanced_motion import kicked_monodromy
+from vibrojax.steady.batches import in_batches, take
 from vibrojax.steady.condensed import (
     Balance,
     Problem,

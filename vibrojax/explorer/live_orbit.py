@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vibrojax.branches.tracing import take
 from vibrojax.explorer.live_curve import LiveCurve, balanced_at
+from vibrojax.steady.batches import take
 from vibrojax.steady.condensed import cell_average, differentiate
 
 FINER = 4

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.branches.continuation import Ending, Settings, begin
-from vibrojax.branches.tracing import Traced, in_batches, take, trace_branches
+from vibrojax.branches.tracing import Traced, trace_branches
 from vibrojax.identification.nearest_point import Nearest, Target
 from vibrojax.identification.sensor import Sensor
 from vibrojax.identification.trial_rigs import (
@@ -26,6 +26,7 @@ from vibrojax.identification.trial_rigs import (
 )
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.model.systems import AbstractSystem
+from vibrojax.steady.batches import in_batches, take
 from vibrojax.steady.paths import FrequencyPath
 
 MOST_POINTS = 300

@@ -5,10 +5,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.branches.tracing import take
 from vibrojax.identification.curve_misfit import LOST, CurveMisfit
 from vibrojax.identification.nearest_point import Target
 from vibrojax.identification.trial_rigs import Curve, Lanes, find_nearest
+from vibrojax.steady.batches import take
 
 MASKED = 2
 """Points left out on each side of a jump."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from vibrojax._tools.checks import check_choice, check_names, check_needed_arguments
 from vibrojax._tools.described import in_short
+from vibrojax.ensemble.frequencies import check_drive
 from vibrojax.identification.coordinates import Coordinate, coordinate_of
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.fold_misfit import FoldMisfit
@@ -17,7 +18,6 @@ from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory
 from vibrojax.measured.reading import read_measured_curve
 from vibrojax.model.systems import AbstractSystem, check_made
-from vibrojax.sweep.frequency_sweep import check_drive
 
 OBJECTIVES = ("distance", "pointwise", "folds")
 Measurement = MeasuredCurve | MeasuredHistory

@@ -5,10 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from vibrojax.branches.tracing import free_motion, take
+from vibrojax.branches.tracing import free_motion
 from vibrojax.identification.coordinates import Coordinate
 from vibrojax.identification.trial_rigs import SAMPLES
 from vibrojax.measured.curve import MeasuredCurve
+from vibrojax.steady.batches import take
 from vibrojax.steady.condensed import cell_average
 from vibrojax.steady.paths import FrequencyPath
 

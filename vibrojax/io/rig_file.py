@@ -18,6 +18,7 @@ from vibrojax._tools.checks import (
 )
 from vibrojax._tools.files import read_bytes
 from vibrojax._tools.signatures import validated
+from vibrojax.ensemble.frequencies import DIRECTIONS
 from vibrojax.io.rig_file_keys import (
     AXES,
     GROUPS,
@@ -43,7 +44,6 @@ from vibrojax.model.drives import AbstractDrive, BaseMotion, NoDrive, PointForce
 from vibrojax.model.impacting_beam import ImpactingBeam
 from vibrojax.model.stops import Stop
 from vibrojax.stepping.method import check_settings
-from vibrojax.sweep.frequency_sweep import DIRECTIONS
 
 _MOST_BYTES = 10_000_000
 MOST_POINTS = 1_000_000

@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike
 
 from vibrojax._tools.checks import axis_of, check_choice
 from vibrojax._tools.signatures import validated
+from vibrojax.ensemble.frequencies import check_drive
 from vibrojax.maps.responses import AbstractMapResponse, Computed, Grid, Points
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.store_files import digest
@@ -28,7 +29,6 @@ from vibrojax.regime.basins_result import standard_error
 from vibrojax.regime.strobing import Strober
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
-from vibrojax.sweep.frequency_sweep import check_drive
 
 VARIABLES = (
     "attractors",

@@ -14,12 +14,12 @@ import numpy as np
 
 from vibrojax.branches.folds import Fold, fold_response
 from vibrojax.branches.special_points import touch_near
-from vibrojax.branches.tracing import in_batches
 from vibrojax.maps.measures import STEPWISE, Curve, Measure
 from vibrojax.maps.responses import Computed, Grid
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.template import DIFFERENTIATED
 from vibrojax.model.systems import as_arrays
+from vibrojax.steady.batches import in_batches
 from vibrojax.steady.paths import frequency_path
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.sweep.lane_pool import take_rigs

@@ -16,6 +16,7 @@ from vibrojax._tools.interrupts import stoppable
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
 from vibrojax.ensemble.arguments import Arguments, Zipped, arguments_of, default_of
+from vibrojax.ensemble.frequencies import frequency_axis
 from vibrojax.maps import store as stores
 from vibrojax.maps.continuing import opened, same_map
 from vibrojax.maps.measures import Measures, measures_of
@@ -33,7 +34,6 @@ from vibrojax.maps.settings import (
 from vibrojax.maps.template import Template, template_of
 from vibrojax.maps.work import MapSpec
 from vibrojax.model.systems import AbstractSystem
-from vibrojax.sweep.frequency_sweep import frequency_axis
 
 if TYPE_CHECKING:
     import xarray

@@ -8,15 +8,15 @@ import numpy as np
 
 from vibrojax._tools.checks import check_count, check_range
 from vibrojax._tools.signatures import validated
-from vibrojax.branches.tracing import in_batches
+from vibrojax.ensemble.frequencies import check_drive
 from vibrojax.maps.responses import AbstractMapResponse, Computed, Grid, Points
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
+from vibrojax.steady.batches import in_batches
 from vibrojax.steady.methods import HarmonicBalance, Shooting
 from vibrojax.steady.periodic_response import periodic_response
 from vibrojax.steady.periodic_result import NUMBERS
-from vibrojax.sweep.frequency_sweep import check_drive
 
 WIDTH = 32
 """Points solved side by side."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from vibrojax._tools.checks import check_choice, nearest
 from vibrojax._tools.signatures import validated
+from vibrojax.ensemble.frequencies import DIRECTIONS
 from vibrojax.maps.responses import AbstractMapResponse, Computed, Grid, Points
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem, as_arrays
@@ -16,7 +17,6 @@ from vibrojax.regime.regimes import check_steps, frequency_unit, regime_method
 from vibrojax.regime.strobing import Strober
 from vibrojax.results.status import Status
 from vibrojax.stepping.method import AbstractMethod
-from vibrojax.sweep.frequency_sweep import DIRECTIONS
 
 VARIABLES = (
     "period",

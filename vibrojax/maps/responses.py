@@ -9,12 +9,13 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax._tools.described import described
 from vibrojax._tools.signatures import validated
+from vibrojax.ensemble.frequencies import DIRECTIONS
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.sweep.frequency_response import CURVES as SWEPT_CURVES
-from vibrojax.sweep.frequency_sweep import DIRECTIONS, check_sweep, sweep_plan
+from vibrojax.sweep.frequency_sweep import check_sweep, sweep_plan
 from vibrojax.sweep.swept_lanes import before_jumps, numbers_of_jumps, sweep_rigs
 
 WHOLE = ("period", "status", "periods_marched", "steps", "regime")

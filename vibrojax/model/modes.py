@@ -1,7 +1,7 @@
 """Natural frequencies and mode shapes of a cantilever, differentiable in every number of it."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from vibrojax._tools.checks import check_choice, check_count, check_range, concr
 from vibrojax._tools.signatures import validated
 from vibrojax.model.beam import Cantilever
 from vibrojax.model.dtm import Shapes, add_masses, evaluate, solve
+from vibrojax.results.variables import described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -88,7 +89,6 @@ class Modes(eqx.Module):
         `points` is the number of places x/L at equal distances from root to tip. Raises
         `ValueError` for a batch of beams, or fewer than 2 points.
         """
-        from vibrojax.model.modes_dataset import modes_dataset
 
         check_count("points", points, least=2)
         return modes_dataset(self, points)
@@ -177,3 +177,34 @@ def modes(beam: Cantilever, num_modes: int = 5, formulation: str = "consistent")
     positions = jnp.asarray(places, taper.dtype)
     solved = solve(taper, mass_ratio, point_masses, positions, int(num_modes))
     return _finish(solved, scale, reference_mass, formulation)
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+def modes_dataset(modes: "Modes", points: int) -> "xarray.Dataset":
+    """Return the numbers of the modes, and their shapes at so many places.
+
+    Raises `ValueError` for a batch of modes: pick one beam.
+    """
+    import xarray
+
+    if modes.beta.ndim != 1:
+        raise ValueError(
+            f"Modes of a batch of beams, {modes.beta.shape[:-1]}, are no dataset: pick one, such "
+            "as jax.tree.map(lambda a: a[0], modes)."
+        )
+    names = ("frequency", "beta", "modal_mass", "participation")
+    data: dict[str, Any] = {
+        name: ("mode", np.asarray(getattr(modes, name)), described_as(name)) for name in names
+    }
+    data["frequency"][2]["long_name"] = "Natural frequency"
+    place = np.linspace(0.0, 1.0, points)
+    data["shape"] = (("place", "mode"), np.asarray(modes.shape(place)), described_as("shape"))
+    coordinates = {
+        "mode": ("mode", np.arange(1, modes.num_modes + 1), described_as("mode")),
+        "place": ("place", place, described_as("place")),
+    }
+    attributes = {"title": "vibrojax modes", "formulation": modes.formulation}
+    return xarray.Dataset(data, coordinates, attrs=attributes)

@@ -22,7 +22,7 @@ from vibrojax.plot.style import (
 from vibrojax.results.variables import named_value
 
 if TYPE_CHECKING:
-    from vibrojax.branches.fold_curves_result import FoldCurve
+    from vibrojax.branches.fold_curves import FoldCurve
     from vibrojax.sweep.frequency_response import FrequencyResponse
 
 MARKS = {

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from vibrojax.plot.style import GREY, LABEL, SMALL, new_picture, outside_legend
 
 if TYPE_CHECKING:
-    from vibrojax.resolution.result import ResolutionCheck
+    from vibrojax.resolution import ResolutionCheck
 
 STYLES = (("o", "#0060a8"), ("^", "#d1590a"), ("s", "#2a7f3f"), ("D", "#7a3f8f"))
 LEAST = 1e-16

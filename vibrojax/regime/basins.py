@@ -22,6 +22,7 @@ from vibrojax._tools.checks import (
 from vibrojax._tools.described import in_short, recipe
 from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.arguments import Zipped
+from vibrojax.ensemble.frequencies import check_drive, frequency_axis
 from vibrojax.ensemble.lanes import lanes_of
 from vibrojax.model.states import as_state
 from vibrojax.model.systems import AbstractEquations, AbstractSystem
@@ -30,7 +31,6 @@ from vibrojax.regime.basins_result import Basins
 from vibrojax.regime.strobing import Strober
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
-from vibrojax.sweep.frequency_sweep import check_drive, frequency_axis
 from vibrojax.sweep.swept_lanes import rigs_of
 
 Start = Callable[..., Any]

@@ -9,6 +9,7 @@ from jaxtyping import ArrayLike, Float, Int
 from vibrojax._tools.checks import check_choice, nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.arguments import Zipped
+from vibrojax.ensemble.frequencies import DIRECTIONS, frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.model.states import as_state
 from vibrojax.model.systems import AbstractSystem, as_arrays
@@ -23,7 +24,6 @@ from vibrojax.regime.regimes import (
 )
 from vibrojax.regime.strobing import Strober
 from vibrojax.stepping.method import AbstractMethod
-from vibrojax.sweep.frequency_sweep import DIRECTIONS, frequency_axis
 from vibrojax.sweep.swept_lanes import rigs_of
 
 

@@ -14,6 +14,7 @@ from vibrojax._tools.checks import check_count, check_positive, check_range, che
 from vibrojax._tools.described import in_short, recipe
 from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.arguments import Zipped
+from vibrojax.ensemble.frequencies import check_drive, frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.model.states import as_state
 from vibrojax.model.systems import AbstractSystem, LinearEquations, as_arrays
@@ -22,7 +23,6 @@ from vibrojax.regime.regimes_result import Regimes
 from vibrojax.regime.strobing import Strober
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod, check_settings
-from vibrojax.sweep.frequency_sweep import check_drive, frequency_axis
 from vibrojax.sweep.swept_lanes import rigs_of
 
 Array = np.ndarray

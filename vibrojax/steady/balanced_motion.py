@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from vibrojax.branches.tracing import in_batches
+from vibrojax.steady.batches import in_batches
 from vibrojax.steady.condensed import (
     balance,
     cell_average,

@@ -12,10 +12,10 @@ from jaxtyping import Array, ArrayLike, Float
 from vibrojax._tools.checks import check_count, check_one_number, check_range, is_traced
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
-from vibrojax.branches.tracing import REPAIRS
 from vibrojax.model.states import ABOUT_STATES, as_state
 from vibrojax.model.systems import AbstractSystem, LinearEquations, as_arrays, check_is_system
 from vibrojax.steady.balanced_motion import balanced_strobes, read_balanced, solve_balance
+from vibrojax.steady.batches import REPAIRS
 from vibrojax.steady.contact_times import MOST_EVENTS, Events, Orbit, follow_events
 from vibrojax.steady.exact_point import Guess, exact_point
 from vibrojax.steady.implicit import frozen

@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 from vibrojax._tools.checks import check_range, concrete
 from vibrojax._tools.described import recipe
 from vibrojax._tools.signatures import validated
+from vibrojax.ensemble.frequencies import frequency_axis
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.systems import AbstractSystem, as_arrays, equations_of
 from vibrojax.steady.single_contact import (
@@ -24,7 +25,6 @@ from vibrojax.steady.single_contact import (
 from vibrojax.steady.single_contact_points import Points, evaluate
 from vibrojax.steady.single_contact_result import SingleContactResponse
 from vibrojax.stepping.contact_phases import ContactPhases
-from vibrojax.sweep.frequency_sweep import frequency_axis
 
 DEFAULT_FRACTIONS = 0.45 * np.linspace(0.04, 1.0, 97) ** 2
 """Dense towards short contacts, where the lower fold is."""

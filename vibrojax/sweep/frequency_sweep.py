@@ -10,26 +10,19 @@ from jaxtyping import ArrayLike
 from vibrojax._tools.checks import (
     check_choice,
     check_count,
-    check_frequencies,
     check_range,
-    concrete,
 )
 from vibrojax._tools.described import recipe
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
 from vibrojax.ensemble.arguments import Zipped
+from vibrojax.ensemble.frequencies import DIRECTIONS, check_drive, frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod, check_settings
 from vibrojax.sweep.frequency_response import FrequencyResponse
 from vibrojax.sweep.swept_lanes import SweepPlan, Swept, numbers_of_jumps, rigs_of, sweep_rigs
-
-DIRECTIONS: dict[str, tuple[str, ...]] = {
-    "both": ("forward", "backward"),
-    "forward": ("forward",),
-    "backward": ("backward",),
-}
 
 
 @validated
@@ -148,31 +141,6 @@ def check_sweep(
     if refine_jumps is not None:
         check_range("refine_jumps", refine_jumps, 1e-9, 1.0, allowed="from 1e-9 to 1, or None")
     check_settings(tolerance, steps_per_period)
-
-
-def frequency_axis(
-    ratio: ArrayLike | Sequence[float] | None, frequency: ArrayLike | Sequence[float] | None
-) -> tuple[str, np.ndarray]:
-    """Return the name of the frequency axis that was given and its values.
-
-    Raises `ValueError` unless one of the two is given and increases.
-    """
-    if (ratio is None) == (frequency is None):
-        raise ValueError("Give frequency_ratio or frequency, one of the two.")
-    if ratio is not None:
-        return "frequency_ratio", check_frequencies("frequency_ratio", ratio, "(ratio)")
-    return "frequency", check_frequencies("frequency", frequency, "Hz")
-
-
-def check_drive(system: AbstractSystem) -> None:
-    """Refuse, with a `ValueError`, a system that nothing drives."""
-    reference, unit = system.drive.reference
-    size = concrete(reference)
-    if unit == "m" or (size is not None and not (size > 0).all()):
-        raise ValueError(
-            "A frequency sweep needs a drive with an amplitude above 0, got "
-            f"{system.drive!r}. Give the system drive=BaseMotion(...) or PointForce(...)."
-        )
 
 
 def _result(lanes: Lanes, plan: SweepPlan, swept: Swept) -> FrequencyResponse:
