@@ -3,12 +3,18 @@
 import gc
 import os
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 # What one worker compiled, the others and the next run need not compile again.
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "jax"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+
+# Tests compile much and compute little: XLA takes a third of the time where it hardly optimises.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 12):  # an unknown flag ends the process
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 from jaxtyping import install_import_hook  # noqa: E402
 
