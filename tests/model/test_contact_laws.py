@@ -24,7 +24,7 @@ def beam(rig):
     """Builder of the default rig with another law at its stop, the corner of the force kept."""
 
     def make(law, smoothing=0.0, **numbers):
-        system = rig(damping_ratio=0.03, num_modes=3, **numbers)
+        system = rig(damping_ratio=0.03, num_modes=2, **numbers)
         stop = vj.Stop(0.5, 0.4e-3, law, smoothing=smoothing)
         return vj.ImpactingBeam(
             system.beam, stop, system.drive, system.damping_ratio, system.num_modes
@@ -148,9 +148,7 @@ def test_histories_go_on_from_where_another_ended(beam):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.long) for n in (*SMOOTH, "rubber")]
-)
+@pytest.mark.parametrize("name", [*SMOOTH, "rubber"])
 def test_sweep_shooting_and_balance_find_the_same_motion(beam, name):
     system = beam(LAWS[name])
     curve = vj.frequency_sweep(
@@ -208,10 +206,7 @@ def test_negative_numbers_are_refused(make, sentence):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=() if n == "hunt_crossley" else pytest.mark.long) for n in LAWS],
-)
+@pytest.mark.parametrize("name", LAWS)
 def test_gradients_of_a_history(beam, name):
     def energy(scale, gradient):
         law = jax.tree.map(lambda a: a * scale, LAWS[name])
