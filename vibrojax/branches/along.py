@@ -10,13 +10,8 @@ from vibrojax._tools.described import in_short, recipe
 from vibrojax.ensemble.arguments import Arguments, arguments_of
 from vibrojax.ensemble.frequencies import check_drive
 from vibrojax.ensemble.lanes import check_lists, check_no_numbers, made_by
-from vibrojax.model.systems import (
-    AbstractEquations,
-    AbstractSystem,
-    LinearEquations,
-    as_arrays,
-    equations_of,
-)
+from vibrojax.model.equations import AbstractEquations, LinearEquations
+from vibrojax.model.systems import AbstractSystem, as_arrays, equations_of
 from vibrojax.steady.methods import check_balance
 
 

@@ -28,7 +28,8 @@ from vibrojax.history.exact_pieces import (
     touching_bits,
 )
 from vibrojax.history.finer_steps import Flow, Rows
-from vibrojax.model.systems import LinearEquations, Motion
+from vibrojax.model.equations import LinearEquations
+from vibrojax.model.systems import Motion
 from vibrojax.stepping.elementary import cubic_maximum
 
 Times = Float[np.ndarray, " samples"]

@@ -20,8 +20,9 @@ from vibrojax.history.quantities import (
     quantity_of,
     unit_and_label,
 )
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.impacting_beam import ImpactingBeam
-from vibrojax.model.systems import AbstractSystem, LinearEquations, Motion
+from vibrojax.model.systems import AbstractSystem, Motion
 from vibrojax.results.status import Status
 from vibrojax.results.variables import described_as
 

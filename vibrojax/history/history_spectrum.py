@@ -15,8 +15,8 @@ from vibrojax.history.quantities import (
 )
 from vibrojax.history.spectrum import FOLDED, Spectrum, folded_share, spectrum_of
 from vibrojax.model.drives import Harmonic
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.impacting_beam import ImpactingBeam
-from vibrojax.model.systems import LinearEquations
 from vibrojax.results.status import Status
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import nearest
 from vibrojax.measured.units import UNITS, unit_named
-from vibrojax.model.systems import AbstractEquations, LinearEquations
+from vibrojax.model.equations import AbstractEquations, LinearEquations
 from vibrojax.results.variables import VARIABLES
 
 if TYPE_CHECKING:

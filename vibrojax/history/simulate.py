@@ -19,16 +19,10 @@ from vibrojax._tools.checks import (
 from vibrojax._tools.signatures import validated
 from vibrojax.history.history import History
 from vibrojax.model.drives import AbstractWaveform, Harmonic
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.impacting_beam import ImpactingBeam
 from vibrojax.model.states import as_state
-from vibrojax.model.systems import (
-    AbstractSystem,
-    LinearEquations,
-    Motion,
-    as_arrays,
-    check_is_system,
-    equations_of,
-)
+from vibrojax.model.systems import AbstractSystem, Motion, as_arrays, check_is_system, equations_of
 from vibrojax.stepping.choice import choose_method, prepare_motion
 from vibrojax.stepping.method import AbstractMethod, ExactContact
 

@@ -24,8 +24,9 @@ from vibrojax.identification.history_motions import (
 )
 from vibrojax.measured.history import MeasuredHistory
 from vibrojax.model.drives import NoDrive
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.impacting_beam import ImpactingBeam
-from vibrojax.model.systems import AbstractSystem, LinearEquations
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.choice import is_exact
 
 WIDTH = 4

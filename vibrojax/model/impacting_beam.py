@@ -8,14 +8,11 @@ from vibrojax._tools.checks import check_choice, check_count, check_not_negative
 from vibrojax._tools.signatures import validated
 from vibrojax.model.beam import Cantilever
 from vibrojax.model.drives import AbstractDrive, NoDrive, PointForce
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.modes import FORMULATIONS, Modes, modes
 from vibrojax.model.states import Displacement, beam_coordinates
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import (
-    AbstractSystem,
-    LinearEquations,
-    as_stops,
-)
+from vibrojax.model.systems import AbstractSystem, as_stops
 
 
 @validated

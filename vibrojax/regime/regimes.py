@@ -16,8 +16,9 @@ from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.arguments import Zipped
 from vibrojax.ensemble.frequencies import check_drive, frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.states import as_state
-from vibrojax.model.systems import AbstractSystem, LinearEquations, as_arrays
+from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.regime.regime_points import RegimePlan, regime_plan, regime_points
 from vibrojax.regime.regimes_result import Regimes
 from vibrojax.regime.strobing import Strober

@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.systems import AbstractSystem, LinearEquations
+from vibrojax.model.equations import LinearEquations
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.steady.contact_times import Tables, tables_of
 from vibrojax.stepping.contact_phases import ContactPhases, can_resonate, contact_phases
 

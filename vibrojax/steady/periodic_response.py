@@ -12,8 +12,9 @@ from jaxtyping import Array, ArrayLike, Float
 from vibrojax._tools.checks import check_count, check_one_number, check_range, is_traced
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.states import ABOUT_STATES, as_state
-from vibrojax.model.systems import AbstractSystem, LinearEquations, as_arrays, check_is_system
+from vibrojax.model.systems import AbstractSystem, as_arrays, check_is_system
 from vibrojax.steady.balanced_motion import balanced_strobes, read_balanced, solve_balance
 from vibrojax.steady.batches import REPAIRS
 from vibrojax.steady.contact_times import MOST_EVENTS, Events, Orbit, follow_events

@@ -9,7 +9,8 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.signatures import validated
-from vibrojax.model.systems import AbstractSystem, LinearEquations
+from vibrojax.model.equations import LinearEquations
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES
 from vibrojax.stepping.resonance import is_unbounded, unbounded_at

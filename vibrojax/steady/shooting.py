@@ -10,13 +10,8 @@ import optimistix
 from jaxtyping import Array, Float
 
 from vibrojax.model.drives import AbstractDrive, Harmonic
-from vibrojax.model.systems import (
-    AbstractEquations,
-    AbstractSystem,
-    LinearEquations,
-    Motion,
-    touching_stops,
-)
+from vibrojax.model.equations import AbstractEquations, LinearEquations, touching_stops
+from vibrojax.model.systems import AbstractSystem, Motion
 from vibrojax.steady.implicit import frozen, with_columns
 from vibrojax.steady.methods import Shooting
 from vibrojax.steady.periodic_result import PeriodicResponse, Sampled, reading_of

@@ -24,8 +24,8 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.trigonometry import cosine
 from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.equations import AbstractEquations, LinearEquations
 from vibrojax.model.laws import can_pull, linear_coefficients
-from vibrojax.model.systems import AbstractEquations, LinearEquations
 from vibrojax.steady.contact_times import Tables, moved_on, tables_of
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 

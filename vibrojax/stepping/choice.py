@@ -2,8 +2,9 @@
 
 import equinox as eqx
 
+from vibrojax.model.equations import AbstractEquations, LinearEquations
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import AbstractEquations, AbstractSystem, LinearEquations
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.contact_phases import MAX_STOPS, ContactPhases, contact_phases
 from vibrojax.stepping.linearly_implicit import LinearlyImplicit
 from vibrojax.stepping.method import AbstractMethod, ExactContact, ExponentialSplitting

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.systems import AbstractEquations, AbstractSystem, LinearEquations
+from vibrojax.model.equations import AbstractEquations, LinearEquations
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.method import AbstractMarch, AbstractMethod, with_traced_numbers
