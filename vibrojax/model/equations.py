@@ -34,8 +34,17 @@ class AbstractEquations(eqx.Module):
 
     @property
     def has_constant_mass(self) -> bool:
-        """Whether M does not hang on q."""
+        """Whether M is the same at every q."""
         return False
+
+    @property
+    def linear(self) -> "LinearEquations | None":
+        """These equations, if they are linear while no stop changes its contact; else None.
+
+        With it goes all that is known in closed form: natural frequencies, exact contact, harmonic
+        balance of the stops alone.
+        """
+        return None
 
     @property
     def memory_size(self) -> int:
@@ -238,8 +247,13 @@ class LinearEquations(AbstractEquations):
 
     @property
     def has_constant_mass(self) -> bool:
-        """Whether M does not hang on q: so it is."""
+        """Whether M is the same at every q: it is."""
         return True
+
+    @property
+    def linear(self) -> "LinearEquations":
+        """These equations."""
+        return self
 
     def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
         """Return the diagonal of modal masses."""

@@ -36,6 +36,29 @@ class AbstractSystem(eqx.Module):
     def equations(self) -> AbstractEquations:
         """Compute the equations of motion from the numbers of the system."""
 
+    @property
+    def reported_place(self) -> float | None:
+        """Place x/L of the displacement that is reported; None for a system without places."""
+        return None
+
+    def shape_at(self, position: ArrayLike) -> Float[Array, " coordinates"]:
+        """Return the displacement at a place x/L by coordinate; `position` is from 0 to 1.
+
+        Raises `ValueError` for a system without places.
+        """
+        raise ValueError("Only the history of a beam has a position along it.")
+
+    def static_shape(self, tip_displacement: ArrayLike) -> Float[Array, " coordinates"]:
+        """Return the coordinates of the system pulled at its tip to `tip_displacement`, m.
+
+        Raises `ValueError` for a system without a tip.
+        """
+        raise ValueError("release is for an ImpactingBeam: give initial_state instead.")
+
+    def flexibility_left_out(self) -> list[float] | None:
+        """Static flexibility at each stop that the coordinates lack, m/N; None: not known."""
+        return None
+
     def modal_coordinates(self, displacement: Displacement) -> Float[Array, " coordinates"]:
         """Return the coordinates q of a displacement, or q' of a velocity.
 

@@ -228,8 +228,8 @@ class SingleContactResponse(eqx.Module):
 
 
 def _equations(system: AbstractSystem) -> LinearEquations:
-    equations = equations_of(as_arrays(system))
-    assert isinstance(equations, LinearEquations)  # checked before the result was made
+    equations = equations_of(as_arrays(system)).linear
+    assert equations is not None  # checked before the result was made
     return equations
 
 
