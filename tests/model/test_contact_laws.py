@@ -143,7 +143,7 @@ def test_histories_go_on_from_where_another_ended(beam):
     second = vj.simulate(system, periods=2, initial_state=state, **settings)
     np.testing.assert_allclose(whole.memory[64:], second.memory, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(whole.coordinates[-1], second.coordinates[-1], rtol=1e-9)
-    with pytest.raises(ValueError, match=r"of the memories of the stops, shape \(1,\)"):
+    with pytest.raises(ValueError, match=r"and the memories of the stops, shape \(1,\)"):
         vj.simulate(system, periods=1, initial_state=(*state, 0.0), **settings)
 
 
