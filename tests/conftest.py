@@ -149,7 +149,11 @@ def small_branch():
 def public_names():
     """Everything public by name: `simulate`, and `history.History` of the room that holds it."""
     found = {name: getattr(vj, name) for name in dir(vj) if not name.startswith("_")}
-    rooms = {name: room for name, room in vars(vj).items() if hasattr(room, "__path__")}
+    rooms = {
+        name: room
+        for name, room in vars(vj).items()
+        if hasattr(room, "__path__") and room.__name__ == f"vibrojax.{name}"
+    }
     for name, room in rooms.items():
         for own, value in vars(room).items():
             if inspect.isclass(value) or inspect.isfunction(value):
