@@ -109,6 +109,7 @@ def test_residuals_are_distances_over_the_deviation(fit):
         fit.residuals("up")
 
 
+@pytest.mark.slow
 def test_the_derivative_of_the_misfit(make, name):
     data = measured(name=name)
     misfit = CurveMisfit(make, ("stiffness", "damping"), {}, {}, [data])
@@ -135,6 +136,7 @@ def test_the_derivative_of_the_misfit(make, name):
     assert np.isfinite(derivative).all()
 
 
+@pytest.mark.slow
 def test_an_early_jump_biases_nothing_and_is_named(make, name):
     data = measured(3, name=name)
     amplitude = data.amplitude.copy()
