@@ -102,8 +102,6 @@ def explore(
             at = fixed | starts | {name: end}
             sample = along_of(make_system, *_frequencies(axis, low, high), at).sample
     assert sample is not None
-    from vibrojax.plot.style import label_of
-
     force = variable == "contact_force"
     sensor = Sensor(quantity=QUANTITIES[variable], with_force=True)
     y_label = label_of(variable, sample.drive.reference[1])
@@ -112,9 +110,10 @@ def explore(
         force = first.amplitude is None
         y_label = label_of("contact_force")
         if not force:
-            from vibrojax.plot.identification import amplitude_label
+            from vibrojax.plot.style import balanced
 
-            y_label = amplitude_label(first)
+            described = described_amplitude(first)
+            y_label = balanced(with_unit(described["long_name"], described["units"]))
             sensor = dataclasses.replace(sensor_of(first), with_force=True)
     drawn = tuple(
         Measurement(m, np.asarray(m.contact_force if force else m.amplitude)) for m in points
