@@ -270,7 +270,6 @@ REFUSALS = [
     ({"gap": [3e-4], "chunk_lanes": 0}, "chunk_lanes must be a whole number of at least 1"),
     ({"gap": [3e-4], "memory": 0.0}, "memory must be above 0 bytes"),
     ({"gap": [3e-4], "client": object()}, "client= needs store="),
-    ({"gap": [3e-4], "response": vj.SettledSweep(max_periods=3)}, "max_periods must be"),
     ({"gap": [3e-4], "measures": {"gap": lambda curve: 1.0}}, "would be an axis and a result"),
     (
         {"gap": [3e-4], "measures": "hysteresis_area", "response": vj.SettledSweep("forward")},

@@ -30,6 +30,8 @@ CALLS = {
     "drive must be a drive (BaseMotion, NoDrive or PointForce), got 0.0002.": lambda: (
         vj.ImpactingBeam(RIG.beam, drive=2e-4)
     ),
+    "max_periods must be a whole number of at least 17": lambda: vj.SettledSweep(max_periods=3),
+    "step_tolerance must be above 0": lambda: vj.RegimeSweep(step_tolerance=-1.0),
     "num_modes must be a whole number": lambda: vj.ImpactingBeam(RIG.beam, num_modes=5.0),
     "beam must be a Cantilever, got an ImpactingBeam. Give its beam.": lambda: vj.modes(RIG),
     "s must be a number or a list of numbers, got 'tip'.": lambda: vj.modes(RIG.beam).shape("tip"),

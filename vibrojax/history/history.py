@@ -20,8 +20,7 @@ from vibrojax.history.quantities import (
     quantity_of,
     unit_and_label,
 )
-from vibrojax.model.impacting_beam import ImpactingBeam
-from vibrojax.model.systems import AbstractSystem, LinearEquations, Motion
+from vibrojax.model.systems import AbstractSystem, Motion
 from vibrojax.results.status import Status
 from vibrojax.results.variables import described_as
 
@@ -100,15 +99,15 @@ class History(eqx.Module):
         return jnp.concatenate([self.coordinates, self.rates, self.memory], axis=-1)
 
     def _shape(self, position: ArrayLike | None) -> Float[Array, " coordinates"]:
-        equations = self.motion.equations
-        if position is None and isinstance(equations, LinearEquations):
-            return equations.response_map
-        if position is None or not isinstance(self.system, ImpactingBeam):
+        linear = self.motion.equations.linear
+        if position is None and linear is not None:
+            return linear.response_map
+        if position is None or self.system.reported_place is None:
             raise ValueError("Only the history of a beam has a position along it.")
         check_one("position", position, "place x/L")
         allowed = "from 0 (root) to 1 (tip)"
         check_range("position", position, 0.0, 1.0, allowed=allowed, advice="It is x/length.")
-        return self.system.modes().shape(position)
+        return self.system.shape_at(position)
 
     @validated(traceable=True)
     def displacement(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
@@ -300,7 +299,7 @@ class History(eqx.Module):
         from vibrojax.history.contacts import peak_of
 
         check_choice("quantity", quantity, tuple(QUANTITIES))
-        if not isinstance(self.motion.equations, LinearEquations):
+        if self.motion.equations.linear is None:
             raise ValueError(
                 "Peaks between samples are known of systems that are linear but for their stops. "
                 "Sample finely, and take the largest of history.quantity(...)."
@@ -328,7 +327,7 @@ class History(eqx.Module):
             )
 
         unit, modal, along = self.motion.equations.coordinate_units, "Generalised ", "coordinate"
-        if isinstance(self.motion.equations, LinearEquations):
+        if self.motion.equations.linear is not None:
             modal, along = "Modal ", "mode"
         parts = {
             "coordinates": (unit, "coordinates"),
@@ -340,8 +339,8 @@ class History(eqx.Module):
             for name, (units, label) in parts.items()
         }
         data["contact_force"] = named(self.contact_force, "N", "Contact force", "stop")
-        beam = isinstance(self.system, ImpactingBeam)
-        prefix, place = ("tip_", " of the tip") if beam else ("", "")
+        at_tip = self.system.reported_place == 1.0
+        prefix, place = ("tip_", " of the tip") if at_tip else ("", "")
         moved = displacement_of(self)
         for name, values in zip(("displacement", "velocity", "acceleration"), moved, strict=True):
             units, label = QUANTITIES[name]

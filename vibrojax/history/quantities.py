@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import nearest
 from vibrojax.measured.units import UNITS, unit_named
-from vibrojax.model.systems import AbstractEquations, LinearEquations
+from vibrojax.model.equations import AbstractEquations
 from vibrojax.results.variables import VARIABLES
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def displacement_of(
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
     """Return the displacement, velocity and acceleration of a history."""
     equations = history.motion.equations
-    if position is None and not isinstance(equations, LinearEquations):
+    if position is None and equations.linear is None:
         return observable_motion(history, "displacement")
     shape = history._shape(position)
     return history.coordinates @ shape, history.rates @ shape, history.accelerations @ shape
