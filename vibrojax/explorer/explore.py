@@ -16,10 +16,12 @@ from vibrojax.ensemble.arguments import default_of
 from vibrojax.explorer.explorer import Explorer, Measurement, Slider
 from vibrojax.explorer.live_curve import CurveTracer
 from vibrojax.identification.curve_misfit import sensor_of
+from vibrojax.identification.fitted_data import described_amplitude
 from vibrojax.identification.sensor import Sensor
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.reading import read_measured_curve
 from vibrojax.model.systems import AbstractSystem
+from vibrojax.results.variables import label_of, with_unit
 from vibrojax.stepping.choice import is_exact
 
 QUANTITIES = {

@@ -15,22 +15,18 @@ from vibrojax.history.quantities import (
     unit_and_label,
 )
 from vibrojax.model.drives import BaseMotion
-from vibrojax.model.impacting_beam import ImpactingBeam
 
 if TYPE_CHECKING:
     from vibrojax.history.history import History
     from vibrojax.plot.histories import Signal
 
 
-def signals_of(
-    history: "History", quantity: str, position: ArrayLike | None
-) -> "list[Signal]":
+def signals_of(history: "History", quantity: str, position: ArrayLike | None) -> "list[Signal]":
     """Return a quantity and the forces of the stops; see `History.plot`."""
     from vibrojax.plot.histories import Signal
 
     check_quantity(history.motion.equations, quantity)
-    if position is None and isinstance(history.system, ImpactingBeam):
-        position = 1.0
+    position = history.system.reported_place if position is None else position
     check_one("position", position, "place x/L")
     nowhere = position is None or quantity == "contact_force" or quantity not in QUANTITIES
     place = "" if nowhere else f" at x/L = {float(np.asarray(position)):g}"

@@ -46,7 +46,7 @@ def fitted_data(
         part = measured.windowed()
         times = np.tile(part.time, len(part.channels))
         data["measured_time"] = of_points(times, "Time", "s")
-        data["channel"] = of_points(np.repeat(part.channels, part.size), "Channel measured")
+        data["channel"] = of_points(np.repeat(list(part.channels), part.size), "Channel measured")
         return xarray.Dataset(data)
     at = described_as(measured.frequency_name)
     data["measured_frequency"] = ("point", measured.frequency, at)

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from vibrojax.plot.style import (
     COLORS,
+    FRAME,
     LINE_STYLES,
     SIZE,
-    FRAME,
     key_of,
     name_axes,
     new_panels,

@@ -73,12 +73,13 @@ def _channels(data: xarray.Dataset) -> list[str]:
 def _curve(panels: list[Axes], data: xarray.Dataset, names: list[str]) -> Key:
     """Draw points and curve of every channel, and the residuals; return the legend."""
     frequency, direction = data["measured_frequency"].values, data["direction"].values
+    shown = [*(f"measured_{name}" for name in names), "residual"]
     key: Key = {}
     for way, number in WAYS.items():
         at = direction == number
         if at.any():
             marks = _marks(way)
-            for axes, name in zip(panels, [*(f"measured_{n}" for n in names), "residual"]):
+            for axes, name in zip(panels, shown, strict=True):
                 axes.plot(frequency[at], data[name].values[at], zorder=3, **marks)
             key[f"measured, {way}{' sweep' if number else ''}"] = Line2D([], [], **marks)
     along = data["curve_frequency"].values

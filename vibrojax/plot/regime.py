@@ -88,7 +88,7 @@ def plot_regimes(regimes: xarray.Dataset) -> Figure:
         error = 2 * regimes["lyapunov_standard_error"].values
         style: dict[str, Any] = {"fmt": "none", "ecolor": GREY, "elinewidth": 0.9}
         lower.errorbar(regimes[axis].values, exponent.values, error, **style)
-        _scatter(lower, regimes, exponent.name)
+        _scatter(lower, regimes, "lyapunov_exponent")
         name_axes(lower, None, label_for(exponent))
     outside_legend(figure, key)
     titled(upper, chosen_in(regimes))
@@ -106,9 +106,7 @@ def _name_periods(axes: Axes, longest: int) -> None:
     axes.set_yticks([0, *ticks], ["none", *(f"{t:.0f}" for t in ticks)])
 
 
-def _category_map(
-    axes: Axes, view: xarray.Dataset, edges: tuple[np.ndarray, np.ndarray]
-) -> Key:
+def _category_map(axes: Axes, view: xarray.Dataset, edges: tuple[np.ndarray, np.ndarray]) -> Key:
     """Draw kinds over two axes, periodic ones by their period; return the legend."""
     period = view["period"].values
     others = [kind for kind in KINDS if kind != "periodic"]

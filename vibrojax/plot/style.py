@@ -148,7 +148,7 @@ def mark_places(panels: Sequence[Axes], places: Sequence[tuple[float, str, str]]
         for panel in panels:
             panel.axvline(where, color=color, linestyle=":", linewidth=1.0, alpha=0.7, zorder=1.5)
         place = (where - left) / (right - left)
-        to_left = place > 0.75 or (2 * k + 1 < len(shown) and place > 0.25)
+        to_left = place > 0.78 or (2 * k + 1 < len(shown) and place > 0.22)
         row = sides.count(to_left)  # pushed by an edge to the side of the other: a row lower
         sides.append(to_left)
         axes.annotate(

@@ -87,7 +87,7 @@ def pick(
             index.append(slice(None))
             continue
         number = wanted[name]
-        at = _nearest_place(number, along.get(number, next(iter(along.values()))), selection)
+        at = nearest_place(number, along.get(number, next(iter(along.values()))), selection[number])
         index.append(at)
         chosen |= {n: values[at].item() for n, values in along.items()}
     return tuple(index), chosen, [name for name in within if name not in wanted]
@@ -129,8 +129,11 @@ def lane_of(
     return dataset.isel(dict(zip(axes, lane, strict=True)))
 
 
-def _nearest_place(name: str, values: Array, selection: Mapping[str, Any]) -> int:
-    wanted = selection[name]
+def nearest_place(name: str, values: Array, wanted: Any) -> int:
+    """Return where the value nearest to a number lies, or a word.
+
+    Raises `ValueError` for what is no finite number, or a word that is none of the values.
+    """
     if values.dtype.kind not in "fiu":
         known = values.tolist()
         if wanted not in known:
