@@ -112,10 +112,8 @@ def explore(
         force = first.amplitude is None
         y_label = label_of("contact_force")
         if not force:
-            from vibrojax.plot.style import balanced
-
             described = described_amplitude(first)
-            y_label = balanced(with_unit(described["long_name"], described["units"]))
+            y_label = with_unit(described["long_name"], described["units"])
             sensor = dataclasses.replace(sensor_of(first), with_force=True)
     drawn = tuple(
         Measurement(m, np.asarray(m.contact_force if force else m.amplitude)) for m in points

@@ -1,5 +1,6 @@
 """One measurement and what the fitted rig gives for it, as a dataset."""
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +12,6 @@ from vibrojax.results.variables import described_as
 if TYPE_CHECKING:
     import xarray
 
-    from vibrojax.identification.identification import Prediction
-
 WORDS = {
     "amplitude": "amplitude (max\u00a0−\u00a0min)/2",
     "peak": "peak max |y|",
@@ -20,6 +19,25 @@ WORDS = {
     "rms": "root mean square",
     "first_harmonic": "first harmonic",
 }
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One measurement as the fitted rig gives it."""
+
+    residual: np.ndarray
+    """Of a curve, distance of every point over its standard deviation, with the sign of the
+    amplitude's part; of a history, of every channel and sample."""
+    frequency: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """Points along the fitted curve."""
+    channels: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    """What the sensor shows there: amplitude, then contact force, where measured."""
+    unstable: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    """Whether a point lies between two folds."""
+    continues: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    """Whether the next point continues this one."""
+    folds: dict[str, np.ndarray] = field(default_factory=dict)
+    """Where a `forward` and a `backward` sweep would jump."""
 
 
 def described_amplitude(curve: MeasuredCurve) -> dict[str, str]:
@@ -31,7 +49,7 @@ def described_amplitude(curve: MeasuredCurve) -> dict[str, str]:
 
 
 def fitted_data(
-    measured: MeasuredCurve | MeasuredHistory, prediction: "Prediction"
+    measured: MeasuredCurve | MeasuredHistory, prediction: Prediction
 ) -> "xarray.Dataset":
     """Return points and residuals over `point`, and of a curve the fitted one and its folds."""
     import xarray

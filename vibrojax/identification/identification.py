@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from vibrojax._tools.checks import check_index
 from vibrojax._tools.described import recipe
 from vibrojax._tools.files import path_of
 from vibrojax._tools.signatures import validated
-from vibrojax.identification.fitted_data import fitted_data
+from vibrojax.identification.fitted_data import Prediction, fitted_data
 from vibrojax.results.saving import whole_files
 from vibrojax.results.variables import named_value
 
@@ -36,25 +36,6 @@ class Alternative:
 
     estimate: dict[str, float]
     reduced_chi_square: float
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """One measurement as the fitted rig gives it."""
-
-    residual: np.ndarray
-    """Of a curve, distance of every point over its standard deviation, with the sign of the
-    amplitude's part; of a history, of every channel and sample."""
-    frequency: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """Points along the fitted curve."""
-    channels: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    """What the sensor shows there: amplitude, then contact force, where measured."""
-    unstable: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
-    """Whether a point lies between two folds."""
-    continues: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
-    """Whether the next point continues this one."""
-    folds: dict[str, np.ndarray] = field(default_factory=dict)
-    """Where a `forward` and a `backward` sweep would jump."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -37,7 +37,10 @@ def plot_bifurcation_diagram(diagram: xarray.Dataset) -> Figure:
     parameter = diagram[diagram["period"].dims[-1]]
     x, exponent, key = parameter.values, diagram["lyapunov_exponent"], {}
     for direction in reversed(diagram["direction"].values.tolist()):  # rings lie below the points
-        style: dict[str, Any] = POINTS[direction] | {"color": COLORS[direction], "linestyle": "none"}
+        style: dict[str, Any] = POINTS[direction] | {
+            "color": COLORS[direction],
+            "linestyle": "none",
+        }
         own = diagram.sel(direction=direction)
         strobed = own["displacement"].values
         many = np.broadcast_to(x[:, None], strobed.shape)

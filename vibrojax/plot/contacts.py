@@ -14,12 +14,16 @@ from vibrojax.plot.style import (
     name_axes,
     new_panels,
     outside_legend,
+    within,
 )
+
+HEIGHT = 2.6
+"""Of a panel, inches."""
 
 
 def plot_contacts(contacts: xarray.Dataset, names: Sequence[str]) -> Figure:
     """Draw columns of the table against the time of touch, one panel each."""
-    figure, panels = new_panels([2.6] * len(names))
+    figure, panels = new_panels([HEIGHT] * len(names))
     stops = np.unique(contacts["stop"])
     for panel, name in zip(panels, names, strict=True):
         for k, stop in enumerate(stops):
@@ -35,7 +39,7 @@ def plot_contacts(contacts: xarray.Dataset, names: Sequence[str]) -> Figure:
                 color=color,
                 label=f"stop {stop}",
             )
-        name_axes(panel, None, label_for(contacts[name]))
+        name_axes(panel, None, within(label_for(contacts[name]), HEIGHT))
         if np.nanmin(contacts[name].values, initial=0.0) >= 0:
             panel.set_ylim(bottom=0.0)
     name_axes(panels[-1], label_for(contacts["touch"]), None)

@@ -1,6 +1,5 @@
 """Pictures of signals over time: of one history below each other, of several together."""
 
-import textwrap
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,13 +18,12 @@ from vibrojax.plot.style import (
     outside_legend,
     shades,
     titled,
+    within,
 )
 from vibrojax.results.variables import with_unit
 
 LOWEST = 1.75
 """Least height of a panel, inches."""
-LETTERS = 9
-"""Letters of a label to an inch."""
 SMALLER = {"m": ("mm", 1e-3), "J": ("mJ", 1e-3), "W": ("mW", 1e-3)}
 """Units of axes in which the numbers of small rigs are short."""
 STOPS = ("blue", "orange", "green", "pink")
@@ -55,8 +53,7 @@ def plot_signals(time: np.ndarray, signals: Sequence[Signal]) -> Figure:
         for k, column in enumerate(columns):
             label = signal.names[k] if len(columns) > 1 else None
             panel.plot(time, column, color=COLORS[STOPS[k % 4]], linewidth=0.9, label=label)
-        label = with_unit(signal.long_name, units)
-        name_axes(panel, None, textwrap.fill(label, int(LETTERS * height)))
+        name_axes(panel, None, within(with_unit(signal.long_name, units), height))
     panels[-1].set_xlim(float(time[0]), float(time[-1]))
     name_axes(panels[-1], "Time (s)", None)
     outside_legend(figure, key_of(*panels))

@@ -25,7 +25,9 @@ def plot_lyapunov(found: xarray.Dataset) -> Figure:
     rates, count = found["rate"].values, found["drive_period"].values
     mean = np.cumsum(rates) / count
     shown = slice(rates.size * STARTS_AT // 100, None)
-    axes.plot(count[shown], mean[shown], color=COLORS["blue"], linewidth=2.0, label="mean so far")
+    axes.plot(
+        count[shown], mean[shown], color=COLORS["blue"], linewidth=2.0, label="mean rate so far"
+    )
     value, error = (float(found[f"lyapunov_{name}"]) for name in ("exponent", "standard_error"))
     axes.axhline(value, color=COLORS["orange"], linestyle=STYLES["backward"], linewidth=1.5)
     axes.axhspan(

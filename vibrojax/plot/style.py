@@ -22,6 +22,8 @@ SIZE, DPI = (10.0, 6.4), 150  # inches and dots per inch: 1500 pixels wide
 FRAME = 1.2
 """Height of what is around the panels of a picture, inches."""
 LABEL, SMALL = 13, 11  # points
+LETTERS = 9
+"""Letters of a label to an inch."""
 COLORS = {
     "blue": "#0060a8",
     "amber": "#e69f00",
@@ -135,6 +137,11 @@ def balanced(label: str, most: int = 34) -> str:
     return label if rows < 2 else textwrap.fill(label, len(label) // rows + 6)
 
 
+def within(label: str, height: float) -> str:
+    """Return a label in lines that fit beside a panel of some height (inches)."""
+    return textwrap.fill(label, int(LETTERS * height))
+
+
 def mark_places(panels: Sequence[Axes], places: Sequence[tuple[float, str, str]]) -> None:
     """Mark places (x, words, colour) by lines, the words along the top away from each other."""
     axes = panels[0]
@@ -142,7 +149,7 @@ def mark_places(panels: Sequence[Axes], places: Sequence[tuple[float, str, str]]
     shown = sorted(place for place in places if left <= place[0] <= right)
     low, high = axes.get_ylim()
     rows = (len(shown) + 1) // 2
-    axes.set_ylim(low, high + (0.04 + 0.065 * rows) * (high - low) if shown else high)
+    axes.set_ylim(low, high + (0.05 + 0.08 * rows) * (high - low) if shown else high)
     sides: list[bool] = []
     for k, (where, words, color) in enumerate(shown):
         for panel in panels:
