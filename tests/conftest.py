@@ -2,7 +2,6 @@
 
 import gc
 import os
-import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,8 +19,6 @@ from jaxtyping import install_import_hook  # noqa: E402
 
 # Before anything imports vibrojax, so that all of it is checked.
 _hook = install_import_hook("vibrojax", "beartype.beartype")
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # exact_propagation, the oracle
 
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
@@ -140,3 +137,9 @@ def problem():
 def rig_branch():
     """Branch of the default rig through both of its folds."""
     return vj.continue_response(make_rig(), frequency_ratio=(0.85, 1.31))
+
+
+@pytest.fixture(scope="session")
+def small_branch():
+    """Branch of the default rig with one mode: its folds are at 1.3813 and 1.0972."""
+    return vj.continue_response(make_rig(num_modes=1), frequency_ratio=(0.85, 1.4))

@@ -1,0 +1,186 @@
+"""What public objects show of themselves: a few lines, pictures, datasets with units."""
+
+import copy
+import inspect
+import pickle
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from matplotlib.figure import Figure
+from unit_oscillator import oscillator
+
+import vibrojax as vj
+
+LAW = vj.KelvinVoigt(5500.0, 5e-5)
+PARTS = {
+    "Cantilever": (vj.default_rig().beam, "length=0.2 m", "density=8250 kg/m3"),
+    "PointMass": (vj.PointMass(0.002, 0.5), "mass=0.002 kg"),
+    "Stop": (vj.Stop(0.5, 4e-4, LAW), "gap=0.0004 m", "stiffness=5500 N/m"),
+    "KelvinVoigt": (LAW, "damping=5e-05 N s/m"),
+    "Hertz": (vj.Hertz(1e6), "N/m^exponent"),
+    "HuntCrossley": (vj.HuntCrossley(1e6, 0.1), "dissipation=0.1 s/m"),
+    "StandardLinearSolid": (vj.StandardLinearSolid(1.0, 2.0, 3.0), "relaxation_time=3 s"),
+    "BaseMotion": (vj.BaseMotion(2e-4), "amplitude=0.0002 m"),
+    "PointForce": (vj.PointForce(2.0), "amplitude=2 N"),
+    "NoDrive": (vj.NoDrive(),),
+    "Harmonic": (vj.Harmonic(12.0), "frequency=12 Hz"),
+    "Chirp": (vj.Chirp(1.0, 2.0, 3.0), "duration=3 s"),
+    "ImpactingBeam": (vj.default_rig(), "gap=0.0004 m", "num_modes=5", "amplitude=0.0002 m"),
+    "MatrixSystem": (oscillator(), "stiffness", "gap=1 m"),
+    "ElasticPendulum": (vj.default_pendulum(), "length=0.195 m", "height=0.04 m"),
+    "LinearisedPendulum": (vj.default_pendulum().linearised(3), "num_modes=3", "tip_mass"),
+    "Limiters": (vj.default_pendulum().limiters, "distance=0.012 m"),
+    "Motion": (vj.motion(oscillator(), frequency=2.0), "frequency=2 Hz"),
+    "ExactContact": (vj.ExactContact(), "tolerance=0.0001"),
+    "ExponentialSplitting": (vj.ExponentialSplitting(), "tolerance=0.0001"),
+    "LinearlyImplicit": (vj.LinearlyImplicit(longest_step=1e-4), "longest_step=0.0001 s"),
+    "HarmonicBalance": (vj.HarmonicBalance(samples=256), "samples=256"),
+    "Shooting": (vj.Shooting(), "steps_per_period=512"),
+    "SettledSweep": (vj.SettledSweep(refine_jumps=None), "refine_jumps=None"),
+    "PeriodicPoints": (vj.PeriodicPoints(), "period=1"),
+    "ContinuationCurve": (vj.ContinuationCurve(), "max_points=2000"),
+    "RegimeSweep": (vj.RegimeSweep(), "transient=200"),
+    "LinearEquations": (oscillator().equations(), "coordinates: 1", "rad/s"),
+    "MatrixModes": (oscillator().modes(), "rad/s"),
+    "LevenbergMarquardt": (vj.LevenbergMarquardt(), "most_steps=60"),
+    "Optax": (vj.Optax(optax.adam(0.1)), "steps=200"),
+    "Fold": (vj.Fold(*map(jnp.asarray, (1.2, 3.0, 0.5, [0.0, 1.0], True))), "0.5 N"),
+}
+MODULES = [name for name, (part, *_) in PARTS.items() if isinstance(part, eqx.Module)]
+
+
+def readable(text, name):
+    assert name in text
+    assert len(text) < 1500
+    assert "f64[" not in text
+    assert " at 0x" not in text
+    return text
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_objects_show_their_numbers_with_units(name):
+    part, *words = PARTS[name]
+    text = readable(repr(part), name)
+    assert [word for word in words if word not in text] == []
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_objects_show_themselves_while_traced_and_as_placeholders(name):
+    part, *_ = PARTS[name]
+    numbers, rest = eqx.partition(part, lambda leaf: eqx.is_array(leaf) or isinstance(leaf, float))
+    shown = []
+
+    def look(numbers):
+        shown.append(repr(eqx.combine(numbers, rest)))
+        return numbers
+
+    jax.eval_shape(look, numbers)
+    like = jax.eval_shape(lambda numbers: numbers, numbers)
+    for text in (*shown, repr(eqx.combine(like, rest))):
+        readable(text, name)
+
+
+def test_batches_show_their_range_once():
+    rigs = jax.vmap(lambda gap: vj.default_rig(gap=gap))(jnp.linspace(1e-4, 1e-3, 7))
+    text = readable(repr(rigs), "ImpactingBeam")
+    assert "gap=0.0001 to 0.001 (7 values) m" in text
+    assert "length=0.2 (7 values) m" in text
+
+
+def test_equal_texts_mean_equal_numbers():
+    gap = 4e-4
+    assert repr(vj.default_rig(gap=gap)) != repr(vj.default_rig(gap=np.nextafter(gap, 1.0)))
+
+
+def test_objects_are_copied_and_pickled():
+    rig = vj.default_rig()
+    for twin in (copy.deepcopy(rig), pickle.loads(pickle.dumps(rig))):
+        assert repr(twin) == repr(rig)
+
+
+def contacts_by_hand():
+    columns = inspect.signature(vj.Contacts).parameters
+    numbers = {name: np.linspace(0.5, 1.0, 3) for name in columns}
+    return vj.Contacts(**(numbers | {"stop": np.array([1, 2, 1])}))
+
+
+def energy_by_hand():
+    table = np.linspace(0.1, 1.0, 6).reshape(3, 2)
+    return vj.EnergyFlow(np.arange(3.0), table, table[:, :1], table, table[:, :1], table[:, 0])
+
+
+def fold_curve_by_hand():
+    x = np.linspace(1.0, 1.2, 4)
+    return vj.FoldCurve(4e-4 * x, x, 3 * x, x, ("end of the range", "the fold ends"), "gap")
+
+
+QUICK = {
+    "Modes": lambda: vj.modes(vj.default_rig().beam),
+    "Contacts": contacts_by_hand,
+    "EnergyFlow": energy_by_hand,
+    "FoldCurve": fold_curve_by_hand,
+    "LyapunovExponent": lambda: vj.LyapunovExponent(
+        *map(jnp.asarray, (0.05, 0.003, np.linspace(0.0, 0.1, 40), np.zeros(2), 7.0))
+    ),
+    "ResolutionCheck": lambda: vj.ResolutionCheck(
+        {"fold": np.array(1.2)}, {"one more mode": {"fold": np.array(0.01)}}, {}
+    ),
+}
+
+
+def check_result(result):
+    readable(repr(result), type(result).__name__)
+    assert isinstance(result.plot(), Figure)
+    dataset = result.to_xarray()
+    for name, variable in dataset.variables.items():
+        if variable.dtype.kind in "fciub" and "lane" not in str(name):
+            assert variable.attrs.get("long_name"), f"{name} has no long name"
+            assert "units" in variable.attrs, f"{name} has no unit"
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_results_draw_themselves_and_become_datasets(name):
+    check_result(QUICK[name]())
+
+
+RESULTS = (
+    *("Basins", "BifurcationDiagram", "Branch", "Branches", "Coexisting", "Contacts", "Cycles"),
+    *("EnergyFlow", "FoldCurve", "FoldCurves", "FrequencyResponse", "Histories", "History"),
+    *("Identification", "LyapunovExponent", "Modes", "PeriodicResponse", "PoincareSection"),
+    *("Regimes", "ResolutionCheck", "SingleContactResponse", "Spectrum"),
+)
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_every_result_has_a_picture_and_a_dataset(name):
+    for method in ("plot", "to_xarray"):
+        assert inspect.isfunction(inspect.unwrap(getattr(getattr(vj, name), method)))
+
+
+def made_by_programs():
+    body, frequency = oscillator(), 0.9 / (2 * np.pi)
+    history = vj.simulate(body, frequency=frequency, periods=40)
+    yield history
+    yield history.contacts()
+    yield history.energy()
+    yield history.spectrum()
+    yield history.cycles()
+    yield history.poincare()
+    yield vj.simulate_each(oscillator, gap=[0.9, 1.0], frequency=frequency, periods=3)
+    yield vj.frequency_sweep(oscillator, gap=[1.0], frequency=[0.14, 0.15], max_periods=60)
+    yield vj.periodic_response(oscillator(gap=10.0), frequency=frequency)
+    yield vj.continue_response(oscillator(gap=10.0), frequency=(0.1, 0.2))
+    yield vj.single_contact_response(
+        body, frequency=[0.14, 0.15, 0.16], contact_fraction=[0.1, 0.2, 0.3]
+    )
+    yield vj.regimes(body, frequency=[0.14, 0.15], transient=20, periods=40)
+
+
+@pytest.mark.slow
+def test_results_of_programs_draw_themselves_and_become_datasets():
+    for result in made_by_programs():
+        check_result(result)
