@@ -15,11 +15,9 @@ from vibrojax.plot.style import (
     Key,
     chosen_in,
     edges_of,
+    finish,
     label_for,
-    name_axes,
     new_picture,
-    outside_legend,
-    titled,
 )
 
 ATTRACTORS = SERIES[:7]
@@ -62,7 +60,5 @@ def plot_basins(basins: xarray.Dataset, starts: Sequence[str], names: Sequence[s
     else:
         size = float(np.clip(3000 / max(number.size, 1), 4, 40))
         axes.scatter(x, y, c=number, s=size, edgecolors="black", linewidths=0.2, **cells)
-    name_axes(axes, *(label_for(basins[name]) for name in starts))
-    titled(axes, chosen_in(basins))
-    outside_legend(figure, shown)
-    return figure
+    across, up = (label_for(basins[name]) for name in starts)
+    return finish(figure, axes, across, up, shown, chosen_in(basins))

@@ -17,11 +17,10 @@ from vibrojax.plot.style import (
     Key,
     chosen_in,
     draw_stable,
+    finish,
     key_of,
     label_for,
-    name_axes,
     new_picture,
-    outside_legend,
     shades,
     stability_key,
 )
@@ -67,13 +66,12 @@ def plot_branches(
     key |= {words: points[words] for _, words in MARKS.values() if words in points} | own
     if sweep is not None:
         key |= _lay_sweep(axes, sweep, variable)
-    name_axes(axes, label_for(first[axis]), label_for(first[variable]))
     if variable != "leading_multiplier":
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     else:
         axes.axhline(1.0, color=GREY, linewidth=0.8)
-    outside_legend(figure, dict(list(key.items())[:MOST]))
-    return figure
+    names = label_for(first[axis]), label_for(first[variable])
+    return finish(figure, axes, *names, dict(list(key.items())[:MOST]))
 
 
 def _heights(
@@ -118,6 +116,5 @@ def plot_fold_curves(curves: Sequence[xarray.Dataset]) -> Figure:
         for end, why in zip((0, -1), ("low_ending", "high_ending"), strict=True):
             if curve.attrs[why] != "end of the range":
                 axes.plot(x[end], y[end], "o", color=color, markersize=7)
-    name_axes(axes, *(label_for(curves[0][name]) for name in names))
-    outside_legend(figure, key_of(axes))
-    return figure
+    x, y = (label_for(curves[0][name]) for name in names)
+    return finish(figure, axes, x, y, key_of(axes))

@@ -6,16 +6,7 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from vibrojax.plot.style import (
-    LINE_STYLES,
-    chosen_in,
-    key_of,
-    name_axes,
-    new_picture,
-    outside_legend,
-    shades,
-    titled,
-)
+from vibrojax.plot.style import LINE_STYLES, chosen_in, finish, key_of, new_picture, shades
 
 LOST = {0: "without a period", -1: "diverged"}
 """What became of starts that lead to no motion."""
@@ -40,9 +31,7 @@ def plot_coexisting(
         axes.plot(across, along, color=color, linestyle=style, linewidth=2.0, label=label)
         strobed = slice(0, -1, samples)
         axes.plot(across[strobed], along[strobed], "o", color=color, markersize=7)
-    name_axes(axes, "Displacement (mm)", "Velocity (m/s)")
     counts = {words: np.sum(leads_to == number) for number, words in LOST.items()}
     lost = [f"{count} starts {words}" for words, count in counts.items() if count]
-    titled(axes, "; ".join([f"{chosen_in(found)}; dots: drive phase 0", *lost]))
-    outside_legend(figure, key_of(axes))
-    return figure
+    title = "; ".join([f"{chosen_in(found)}; dots: drive phase 0", *lost])
+    return finish(figure, axes, "Displacement (mm)", "Velocity (m/s)", key_of(axes), title)

@@ -8,16 +8,7 @@ import xarray
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from vibrojax.plot.style import (
-    COLORS,
-    GREY,
-    Key,
-    label_for,
-    name_axes,
-    new_picture,
-    outside_legend,
-    titled,
-)
+from vibrojax.plot.style import COLORS, GREY, Key, finish, label_for, new_picture
 
 SHOWN = 1.6
 """Drive periods shown above the highest order, at least."""
@@ -47,9 +38,7 @@ def plot_cycles(cycles: xarray.Dataset, orders: Sequence[int], quantity: str) ->
         key[words] = Line2D([], [], **ORDER)
     axes.set_ylim(0.0, top)
     axes.set_yticks(np.arange(0, np.ceil(top), 1 if top < 16 else 5))
-    name_axes(axes, label_for(frequency), "Length of the cycle (drive periods)")
-    outside_legend(figure, key)
-    return figure
+    return finish(figure, axes, label_for(frequency), "Length of the cycle (drive periods)", key)
 
 
 def plot_section(section: xarray.Dataset, x: str, y: str) -> Figure:
@@ -58,6 +47,5 @@ def plot_section(section: xarray.Dataset, x: str, y: str) -> Figure:
     size = 6.0 if section.sizes["point"] < 200 else 3.0
     dots = {"color": COLORS["blue"], "markersize": size, "markeredgewidth": 0, "alpha": 0.7}
     axes.plot(section[x], section[y], "o", **dots)
-    name_axes(axes, label_for(section[x]), label_for(section[y]))
-    titled(axes, section.attrs["section"])
-    return figure
+    names = label_for(section[x]), label_for(section[y])
+    return finish(figure, axes, *names, {}, section.attrs["section"])

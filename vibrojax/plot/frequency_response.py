@@ -22,14 +22,12 @@ from vibrojax.plot.style import (
     WORDS,
     Key,
     chosen_in,
+    finish,
     label_for,
     mark_places,
-    name_axes,
     new_picture,
-    outside_legend,
     scale_beside,
     shades,
-    titled,
 )
 from vibrojax.results.axes import axes_of, axis_scale
 from vibrojax.results.status import Status
@@ -64,10 +62,8 @@ def plot_frequency_response(
         mark_places([axes], [(x, f"{name} {x:.5g}{unit}", color) for x, _, name, color in jumps])
         _hertz_above(axes, lane)
     colors = dict.fromkeys(directions, GREY) if left else COLORS
-    outside_legend(figure, key | _key(lanes, directions, colors))
-    name_axes(axes, label_for(response[lanes[0].axis]), label_for(response[variable]))
-    titled(axes, chosen_in(response))
-    return figure
+    names = label_for(response[lanes[0].axis]), label_for(response[variable])
+    return finish(figure, axes, *names, key | _key(lanes, directions, colors), chosen_in(response))
 
 
 class _Lane:

@@ -11,13 +11,13 @@ from vibrojax.plot.style import (
     FRAME,
     LINE_STYLES,
     SIZE,
+    finish,
     key_of,
     name_axes,
     new_panels,
     new_picture,
     outside_legend,
     shades,
-    titled,
     within,
 )
 from vibrojax.results.variables import with_unit
@@ -69,7 +69,4 @@ def plot_histories(
         time, values, words = line
         style = LINE_STYLES[k % len(LINE_STYLES)]
         axes.plot(time, values, color=color, linestyle=style, linewidth=1.5, label=words or None)
-    name_axes(axes, "Time (s)", label)
-    titled(axes, title)
-    outside_legend(figure, key_of(axes))
-    return figure
+    return finish(figure, axes, "Time (s)", label, key_of(axes), title)

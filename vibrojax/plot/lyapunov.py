@@ -4,16 +4,7 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from vibrojax.plot.style import (
-    COLORS,
-    GREY,
-    STYLES,
-    key_of,
-    label_for,
-    name_axes,
-    new_picture,
-    outside_legend,
-)
+from vibrojax.plot.style import COLORS, GREY, STYLES, finish, key_of, label_for, new_picture
 
 STARTS_AT = 5
 """Share of the periods, percent, before which a mean is not drawn: it says nothing yet."""
@@ -38,6 +29,4 @@ def plot_lyapunov(found: xarray.Dataset) -> Figure:
         label=f"exponent {value:.4g} 1/s and two standard errors",
     )
     axes.axhline(0.0, color=GREY, linewidth=0.8)
-    name_axes(axes, "Drive periods", label_for(found["rate"]))
-    outside_legend(figure, key_of(axes))
-    return figure
+    return finish(figure, axes, "Drive periods", label_for(found["rate"]), key_of(axes))

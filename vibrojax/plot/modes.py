@@ -4,16 +4,7 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from vibrojax.plot.style import (
-    GREY,
-    LINE_STYLES,
-    key_of,
-    label_for,
-    name_axes,
-    new_picture,
-    outside_legend,
-    shades,
-)
+from vibrojax.plot.style import GREY, LINE_STYLES, finish, key_of, label_for, new_picture, shades
 
 
 def plot_modes(modes: xarray.Dataset) -> Figure:
@@ -35,6 +26,4 @@ def plot_modes(modes: xarray.Dataset) -> Figure:
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.set_xlim(0.0, 1.0)
     place = f"{label_for(modes['place'])} (0 root, 1 tip)"
-    name_axes(axes, place, "Mode shape, largest displacement 1")
-    outside_legend(figure, key_of(axes))
-    return figure
+    return finish(figure, axes, place, "Mode shape, largest displacement 1", key_of(axes))

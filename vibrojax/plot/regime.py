@@ -20,6 +20,7 @@ from vibrojax.plot.style import (
     Key,
     chosen_in,
     edges_of,
+    finish,
     label_for,
     name_axes,
     new_panels,
@@ -146,7 +147,7 @@ def plot_poincare(regimes: xarray.Dataset) -> Figure:
     figure, axes = new_picture()
     across, up = regimes["displacement"], regimes["velocity"]
     left = [str(d) for d in regimes["regime"].dims]
-    title = chosen_in(regimes)
+    title, key = chosen_in(regimes), {}
     # Points of a period are few and seen well; those of a chaotic motion are many and small.
     if not left:
         (kind,), period = kinds_in(regimes["regime"]), int(regimes["period"])
@@ -158,7 +159,7 @@ def plot_poincare(regimes: xarray.Dataset) -> Figure:
         title = ", ".join(part for part in (words, title) if part)
     else:
         scale = axis_scale(axes_of(regimes, left), left[0])
-        values, key = scale.places, {}
+        values = scale.places
         if len(values) <= MAX_LINES:
             colors = shades(len(values))
             dots: dict[str, Any] = {"marker": "o", "linestyle": "none"}
@@ -169,11 +170,9 @@ def plot_poincare(regimes: xarray.Dataset) -> Figure:
             colors = map(scale_beside(figure, axes, norm, scale.label), values)
         for k, color in enumerate(colors):
             axes.plot(across[k], up[k], ".", color=color, markersize=5)
-        outside_legend(figure, key)
-    titled(axes, title)
     at = "at drive phase 0"
-    name_axes(axes, f"Displacement {at} (m)", f"Velocity {at} (m/s)")
-    return figure
+    names = f"Displacement {at} (m)", f"Velocity {at} (m/s)"
+    return finish(figure, axes, *names, key, title)
 
 
 def plot_order_spectrum(regimes: xarray.Dataset) -> Figure:
@@ -182,10 +181,9 @@ def plot_order_spectrum(regimes: xarray.Dataset) -> Figure:
     orders, lines = spectrum["order"].values, spectrum.values
     figure, axes = new_picture()
     axes.semilogy(orders, lines, color=COLORS["blue"], linewidth=1.3)
-    name_axes(axes, label_for(spectrum["order"]), label_for(spectrum))
     axes.set_xlim(0, orders[-1])
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     top = float(np.nanmax(lines)) if np.isfinite(lines).any() else 1.0
     axes.set_ylim(max(1e-6 * top, float(np.nanmin(lines)) / 2) or None, 2 * top)
-    titled(axes, chosen_in(regimes))
-    return figure
+    names = label_for(spectrum["order"]), label_for(spectrum)
+    return finish(figure, axes, *names, {}, chosen_in(regimes))

@@ -13,11 +13,10 @@ from vibrojax.plot.style import (
     HOLLOW,
     SMALL,
     SYMBOLS,
+    finish,
     key_of,
     label_for,
-    name_axes,
     new_picture,
-    outside_legend,
 )
 
 STYLES = tuple(zip(SYMBOLS, ("blue", "orange", "green", "violet"), strict=True))
@@ -47,10 +46,8 @@ def plot_resolution(check: xarray.Dataset) -> Figure:
     axes.set_xscale("log")
     axes.set_yticks(range(len(names)), [n.replace("_", " ") for n in names], fontsize=SMALL)
     axes.invert_yaxis()
-    name_axes(axes, f"{label_for(relative)} ({LEAST:g}: none)", None)
     key = key_of(axes)
     if hollow:
         mark = Line2D([], [], marker="o", color=GREY, markersize=9, **HOLLOW)
         key["from 0, came or went, or not finite"] = mark
-    outside_legend(figure, key)
-    return figure
+    return finish(figure, axes, f"{label_for(relative)} ({LEAST:g}: none)", "", key)

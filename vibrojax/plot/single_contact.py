@@ -13,13 +13,11 @@ from vibrojax.plot.style import (
     GREY,
     Key,
     draw_stable,
+    finish,
     label_for,
-    name_axes,
     new_picture,
-    outside_legend,
     shades,
     stability_key,
-    titled,
 )
 
 FOLDS: dict[str, Any] = {"color": COLORS["red"], "linestyle": ":", "linewidth": 1.8}
@@ -53,7 +51,5 @@ def plot_single_contact(
     key["folds"] = Line2D([], [], **FOLDS)
     axes.set_xlim(float(frequency[0]), float(frequency[-1]))
     axes.set_ylim(0.0, 1.08 * top if top else None)
-    name_axes(axes, label_for(frequency), label_for(response["amplitude_ratio"]))
-    titled(axes, "One contact per drive period")
-    outside_legend(figure, key)
-    return figure
+    names = label_for(frequency), label_for(response["amplitude_ratio"])
+    return finish(figure, axes, *names, key, "One contact per drive period")

@@ -222,6 +222,16 @@ def stability_key(drawn: set[bool], words: tuple[str, str], **style: Any) -> Key
     }
 
 
+def finish(
+    figure: Figure, axes: Axes, x: str, y: str, key: Mapping[str, Artist], title: str = ""
+) -> Figure:
+    """Write the names of the axes, the title and the legend, and return the picture."""
+    name_axes(axes, x, y)
+    titled(axes, title)
+    outside_legend(figure, key)
+    return figure
+
+
 def key_of(*panels: Axes) -> Key:
     """Return the labels of what was drawn, with its lines and patches."""
     key: Key = {}
