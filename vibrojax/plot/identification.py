@@ -29,7 +29,7 @@ from vibrojax.plot.style import (
 )
 
 WAYS = {"forward": 1, "backward": -1, "unknown direction": 0}
-FITTED: dict[str, Any] = {"color": "#222222", "linewidth": 1.6}
+FITTED: dict[str, Any] = {"color": COLORS["black"], "linewidth": 1.6}
 FOLD = HOLLOW | {"marker": "o", "markersize": 9, "markeredgewidth": 2.0}
 LIMITS: dict[str, Any] = {"color": GREY, "linestyle": DASHES, "linewidth": 1.0}
 LINE = 0.22

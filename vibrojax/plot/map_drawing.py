@@ -24,7 +24,11 @@ REGIME = "_regime"
 APERIODIC, DIVERGED, UNSTABLE = -1, -2, -3  # instead of a period
 LANES = {"settled": 0, "aperiodic": 1, "diverged": 2, "failed": 3, "missing": 4}
 MARKS = {"aperiodic": "o", "diverged": "X", "failed": "s"}
-BLANK: dict[str, Any] = {"facecolor": "#e6e6e6", "edgecolor": "#9a9a9a", "hatch": "////"}
+BLANK: dict[str, Any] = {
+    "facecolor": COLORS["light"],
+    "edgecolor": COLORS["middle"],
+    "hatch": "////",
+}
 MOST_VALUES = 10
 """Whole numbers that get a colour each; more get a continuous scale."""
 ROOM = 0.06

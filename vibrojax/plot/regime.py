@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 import xarray
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
+from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -40,7 +40,7 @@ KINDS = {
     "diverged": (COLORS["black"], "x"),
 }
 """Colour and marker of a kind of motion; shades of blue count the period."""
-PERIOD_COLORS = ("#d6e6f4", "#abd0e6", "#6aaed6", "#3787c0", "#105ba4")
+PERIOD_COLORS = [to_hex(matplotlib.colormaps["Blues"](k)) for k in np.linspace(0.18, 0.86, 5)]
 """Of period 1, 2, 3, 4 and of longer ones."""
 HIGHEST = len(PERIOD_COLORS)
 
