@@ -29,7 +29,7 @@ from vibrojax.history.exact_pieces import (
 )
 from vibrojax.history.finer_steps import Flow, Rows
 from vibrojax.model.systems import LinearEquations, Motion
-from vibrojax.stepping.elementary import cubic_maximum
+from vibrojax.stepping.cubic import cubic_between, cubic_maximum
 
 Times = Float[np.ndarray, " samples"]
 States = Float[np.ndarray, "samples states"]
@@ -291,10 +291,8 @@ def _extremes(phases, phase, lanes, begin, length, shape, nodes, *, quantity):
             jnp.take_along_axis(a, first, axis=1)[:, 0]
             for a in (f0, f1, d0, d1, cell, time[:, :-1])
         )
-        curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
-        below = jnp.sqrt(jnp.maximum(curve**2 - 3 * bend * d0, 0.0)) - curve
-        u = jnp.where(below > 0, d0 / jnp.where(below > 0, below, 1.0), 0.0)
-        inside = at + jnp.clip(u, 0.0, 1.0) * width
+        u, _ = cubic_between(f0, d0, f1, d1).peak()
+        inside = at + u * width
         times = jnp.stack([inside, at, at + width])
         values = jnp.stack([sign * look(inside)[0], f0, f1])
         pick = jnp.argmax(values, axis=0)[None]

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from vibrojax._tools.trigonometry import cosine
 from vibrojax.model.systems import LinearEquations, Motion
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
+from vibrojax.stepping.cubic import Cubic, cubic_between
 from vibrojax.stepping.resonance import driven_growth
 
 MOST_ROUNDS = 64
@@ -217,19 +218,21 @@ def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places)
     value = value.at[..., 0].set(jnp.minimum(begun, 0.0))
     f0, f1, d0, d1 = value[..., :-1], value[..., 1:], slope[..., :-1], slope[..., 1:]
     crossed = f1 > 0
-    top, height = _turning(f0, d0, f1, d1)
+    cubic = cubic_between(f0, d0, f1, d1)
+    top, height = cubic.peak()
     found = crossed | (height > near)
     first = jnp.argmax(jnp.any(found, axis=0), axis=-1)
 
     def there(a):
         return jnp.take_along_axis(a, first[None, :, None], axis=-1)[..., 0]
 
-    f0, f1, d0, d1, crossed, top, found = map(there, (f0, f1, d0, d1, crossed, top, found))
+    crossed, top, found = map(there, (crossed, top, found))
+    cubic = Cubic(*map(there, cubic))
     # From a start on the crossing itself the motion first goes away from it.
-    dip, _ = _turning(-f0, -d0, -f1, -d1)
+    dip, _ = Cubic(*(-c for c in cubic)).peak()
     high = jnp.where(crossed, 1.0, top)
-    low = jnp.where((d0 < 0) & (dip > 0) & (dip < high), dip, 0.0)
-    guess = _cubic_root(f0, d0, f1, d1, low, high)
+    low = jnp.where((cubic.slope < 0) & (dip > 0) & (dip < high), dip, 0.0)
+    guess = cubic.root(low, high)
     stop = jnp.argmin(jnp.where(found, guess, jnp.inf), axis=0)
 
     def of_stop(a):
@@ -264,32 +267,6 @@ def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places)
 def _cut(phases, phase, course, end, stop):
     blocks, _, _ = follow(phases, phase, course, end)
     return _Cut(end, stop, phases.to_state[phase] @ blocks)
-
-
-def _turning(f0, d0, f1, d1):
-    """Where in (0, 1) a cubic has its maximum, and its value; 0.5 and -inf where it has none."""
-    curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
-    square = curve**2 - 3 * bend * d0
-    below = jnp.sqrt(jnp.maximum(square, 0.0)) - curve
-    u = d0 / jnp.where(below == 0, 1.0, below)
-    inside = (square > 0) & (below != 0) & (u > 0) & (u < 1)
-    height = f0 + u * (d0 + u * (curve + u * bend))
-    return jnp.where(inside, u, 0.5), jnp.where(inside, height, -jnp.inf)
-
-
-def _cubic_root(f0, d0, f1, d1, low, high):
-    """Zero of a cubic that is not above zero at `low` and above it at `high`."""
-    curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
-
-    def closer(_, carry):
-        u, low, high = carry
-        value = f0 + u * (d0 + u * (curve + u * bend))
-        low, high = jnp.where(value > 0, low, u), jnp.where(value > 0, u, high)
-        slope = d0 + u * (2 * curve + 3 * u * bend)
-        newton = u - value / jnp.where(slope == 0, 1.0, slope)
-        return jnp.where((newton > low) & (newton < high), newton, (low + high) / 2), low, high
-
-    return jax.lax.fori_loop(0, 8, closer, ((low + high) / 2, low, high))[0]
 
 
 def places_for(phases: ContactPhases, interval: float) -> int:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax._tools.trigonometry import cosine
 from vibrojax.steady.contact_times import Course, Events, Tables, forced, moved_on
-from vibrojax.stepping.elementary import cubic_maximum
+from vibrojax.stepping.cubic import Cubic, cubic_between, cubic_maximum
 from vibrojax.stepping.resonance import driven_growth
 
 lax = jax.lax
@@ -225,7 +225,8 @@ def find_crossings(
     crossed = (f0 > 0) != (f1 > 0)
     # A cubic with both ends on one side that reaches over to the other one crosses twice.
     sign = jnp.where(f0 > 0, -1.0, 1.0)
-    turning, height = _turning(sign * f0, sign * g0, sign * f1, sign * g1)
+    cubic = cubic_between(sign * f0, sign * g0, sign * f1, sign * g1)
+    turning, height = cubic.peak()
     hidden = ~crossed & (height > 0)
     first = (crossed | hidden).T
     both = jnp.stack([first, hidden.T], axis=-1).reshape(-1)  # samples, stops, first or second
@@ -238,7 +239,7 @@ def find_crossings(
     is_hidden = hidden[stop, time]
     low = jnp.where(second, turning[stop, time], 0.0)
     high = jnp.where(is_hidden & ~second, turning[stop, time], 1.0)
-    u = _crossing(f0[stop, time], g0[stop, time], f1[stop, time], g1[stop, time], low, high)
+    u = Cubic(*(c[stop, time] for c in cubic)).root(low, high)
     whole = 2 * np.pi * period
     angle = jnp.where(used, (time + u) * (whole / samples), jnp.inf)
     order = jnp.argsort(angle)
@@ -256,35 +257,3 @@ def find_crossings(
     touching = jnp.sum(jnp.where(depth[:, place] > 0, bits, 0), dtype=jnp.int32)
     events = Events(stop[again].astype(jnp.int32), touching, section)
     return Crossings(events, later[again], count)
-
-
-def _turning(f0, g0, f1, g1):
-    """Where in [0, 1] the cubic has a maximum inside, and its value (-inf without one)."""
-    curve, bend = 3 * (f1 - f0) - 2 * g0 - g1, 2 * (f0 - f1) + g0 + g1
-    square = curve**2 - 3 * bend * g0
-    below = jnp.sqrt(jnp.maximum(square, 0.0)) - curve
-    u = g0 / jnp.where(below > 0, below, 1.0)
-    inside = (square > 0) & (below > 0) & (u > 0) & (u < 1)
-    value = f0 + u * (g0 + u * (curve + u * bend))
-    return jnp.where(inside, u, 0.5), jnp.where(inside, value, -jnp.inf)
-
-
-def _crossing(f0, g0, f1, g1, low, high):
-    """Zero of the cubic between two places in [0, 1], by safeguarded Newton steps."""
-    curve, bend = 3 * (f1 - f0) - 2 * g0 - g1, 2 * (f0 - f1) + g0 + g1
-
-    def value(u):
-        return f0 + u * (g0 + u * (curve + u * bend))
-
-    start = value(low)
-
-    def closer(_, carry):
-        u, low, high = carry
-        at = value(u)
-        same = (at > 0) == (start > 0)
-        low, high = jnp.where(same, u, low), jnp.where(same, high, u)
-        slope = g0 + u * (2 * curve + 3 * u * bend)
-        step = u - at / jnp.where(slope == 0, 1.0, slope)
-        return jnp.where((step > low) & (step < high), step, (low + high) / 2), low, high
-
-    return lax.fori_loop(0, 8, closer, ((low + high) / 2, low, high))[0]

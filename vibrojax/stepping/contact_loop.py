@@ -9,12 +9,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax._tools.trigonometry import cosine
 from vibrojax.stepping.contact_phases import ContactPhases, spread
-from vibrojax.stepping.elementary import (
-    apply_matrix,
-    computed_once,
-    cubic_maximum,
-    where_needed,
-)
+from vibrojax.stepping.cubic import cubic_between, cubic_maximum
+from vibrojax.stepping.elementary import apply_matrix, computed_once, where_needed
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.measures import Measures, Segment
 from vibrojax.stepping.resonance import driven_growth
@@ -177,34 +173,23 @@ class ContactLoop:
         sign = jnp.where(touching, -1.0, 1.0)
         f0, f1 = jnp.minimum(sign * start, 0.0), sign * end
         d0, d1 = sign * start_rate * step, sign * end_rate * step
-        curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
+        cubic = cubic_between(f0, d0, f1, d1)
         crossed = f1 > tolerance
         # Newton on the cubic from the secant; from the turning point when the step starts on it.
-        tiny = jnp.finfo(f0.dtype).tiny
         secant = -f0 / jnp.where(crossed, f1 - f0, 1.0)
-        turning = jnp.where(d0 > 0, 0.5, jnp.clip(-d0 / jnp.where(curve == 0, 1.0, curve), 0, 1))
+        curve = jnp.where(cubic.curve == 0, 1.0, cubic.curve)
+        turning = jnp.where(d0 > 0, 0.5, jnp.clip(-d0 / curve, 0, 1))
         u = jnp.clip(jnp.where(f0 > -tolerance, turning, secant), 0.02, 0.95)
-        low, high = jnp.zeros_like(u), jnp.ones_like(u)
-        for _ in range(4):
-            value = f0 + u * (d0 + u * (curve + u * bend))
-            slope = d0 + u * (2 * curve + 3 * u * bend)
-            low, high = jnp.where(value > 0, low, u), jnp.where(value > 0, u, high)
-            u = u - value / jnp.where(jnp.abs(slope) < tiny, tiny, slope)
-            u = jnp.where((u > low) & (u < high), u, (low + high) / 2)
         # Short of the end, so that a cubic that misleads cannot hold the lane up.
-        u = jnp.clip(u, 0.005, 0.95)
+        u = jnp.clip(cubic.root(guess=u, rounds=4), 0.005, 0.95)
         # A touch and go inside the step shows as a maximum above zero.
-        root = jnp.sqrt(jnp.maximum(curve**2 - 3 * bend * d0, 0.0))
-        below = root - curve
-        top = d0 / jnp.where(below > tiny, below, 1.0)
-        height = f0 + top * (d0 + top * (curve + top * bend))
-        hidden = ~crossed & (below > tiny) & (top > 0.01) & (top < 0.99) & (height > tolerance)
+        top, height = cubic.peak()
+        hidden = ~crossed & (d0 > 0) & (top > 0.01) & (top < 0.99) & (height > tolerance)
         # Where the cubic may be wrong by more than its distance from zero, the step is halved.
         reach = jnp.where(error > tolerance, 16.0 * error, 0.0)
         doubt = jnp.zeros(crossed.shape, bool)
         for x in _PLACES:
-            value = f0 + x * (d0 + x * (curve + x * bend))
-            doubt = doubt | (value + reach * (x * (1 - x)) ** 2 > tolerance)
+            doubt = doubt | (cubic.at(x) + reach * (x * (1 - x)) ** 2 > tolerance)
         accepted = jnp.where(doubt & ~crossed, 0.5, 1.0)
         found = jnp.where(crossed, u, jnp.where(hidden, top, accepted))
         return jnp.min(found, axis=0, initial=1.0)

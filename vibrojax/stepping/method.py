@@ -18,6 +18,7 @@ from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.systems import AbstractEquations, LinearEquations, Motion
 from vibrojax.stepping import exact_contact, splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
+from vibrojax.stepping.cubic import cubic_between
 from vibrojax.stepping.measures import Measures
 
 
@@ -86,10 +87,8 @@ class StateInterpolation(diffrax.AbstractLocalInterpolation):
         safe = jnp.where(h > 0, h, 1.0)
         u = (t0 - self.t0) / safe
         (q0, v0), (q1, v1) = jnp.split(self.y0, 2), jnp.split(self.y1, 2)
-        rise, bend = q1 - q0, h * (v0 + v1) - 2 * (q1 - q0)
-        curve = rise - h * v0 - bend
-        q = q0 + u * (h * v0 + u * (curve + u * bend))
-        v = v0 + u * (2 * curve + 3 * u * bend) / safe
+        cubic = cubic_between(q0, safe * v0, q1, safe * v1)
+        q, v = cubic.at(u), cubic.slope_at(u) / safe
         if self.memory0 is None or self.memory1 is None:
             return jnp.concatenate([q, v])
         return jnp.concatenate([q, v, self.memory0 + u * (self.memory1 - self.memory0)])

@@ -27,7 +27,8 @@ from vibrojax.model.systems import (
     touching_stops,
 )
 from vibrojax.stepping.contact_phases import spread
-from vibrojax.stepping.elementary import computed_once, cubic_maximum, where_needed
+from vibrojax.stepping.cubic import cubic_maximum
+from vibrojax.stepping.elementary import computed_once, where_needed
 from vibrojax.stepping.measures import Measures, Segment, no_measures
 from vibrojax.stepping.resonance import driven_growth, is_resonant
 
