@@ -126,11 +126,11 @@ def _contact_monodromy(path: FrequencyPath, place: Place, depth, force):
     tables = tables_of(path.phases, place.drive, place.angular_frequency)
     orbit = Orbit(state, found.times)
     number = found.events.number
-    course = follow_events(tables, found.events, orbit, 1, number, with_jacobian=True)
-    assert course.jacobian is not None
+    motion = follow_events(tables, found.events, orbit, 1, number, with_jacobian=True)
+    assert motion.jacobian is not None
     weight = path.phases.weight
     return jnp.where(
-        found.number <= MOST_EVENTS, weight[:, None] * course.jacobian / weight, jnp.nan
+        found.number <= MOST_EVENTS, weight[:, None] * motion.jacobian / weight, jnp.nan
     )
 
 

@@ -18,7 +18,7 @@ from vibrojax.history.exact_pieces import (
     Pieces,
     batch_size,
     batches,
-    begin_course,
+    begin_phase,
     exact_pieces,
     follow,
     lanes_of,
@@ -212,9 +212,9 @@ def _nodes(places: int) -> tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, 
 @eqx.filter_jit
 def _measure_batch(phases, equations, phase, lanes, length, nodes):
     share, weights = nodes
-    course, n = begin_course(phases, phase, *lanes), phases.num_blocks
+    motion, n = begin_phase(phases, phase, *lanes), phases.num_blocks
     time = length[:, None] * share
-    blocks = follow(phases, phase, course, time)
+    blocks = follow(phases, phase, motion, time)
     to_state = phases.to_state[phase]
     v = jnp.tensordot(to_state[n:], blocks[0], axes=1)
 
@@ -227,7 +227,7 @@ def _measure_batch(phases, equations, phase, lanes, length, nodes):
     if equations.damping_coupling is not None:
         deceleration = deceleration + jnp.tensordot(equations.damping_coupling, v, axes=1)
     _, _, rate, amplitude = lanes
-    angle = course.angle[:, None] + rate[:, None] * time
+    angle = motion.angle[:, None] + rate[:, None] * time
     drive = amplitude.real[:, None] * jnp.sin(angle) + amplitude.imag[:, None] * jnp.cos(angle)
     power = drive * jnp.tensordot(equations.modal_mass * equations.input_map, v, axes=1)
 
@@ -261,11 +261,11 @@ def _measure_batch(phases, equations, phase, lanes, length, nodes):
 @eqx.filter_jit
 def _extremes(phases, phase, lanes, begin, length, shape, nodes, *, quantity):
     share, _ = nodes
-    course, n = begin_course(phases, phase, *lanes), phases.num_blocks
+    motion, n = begin_phase(phases, phase, *lanes), phases.num_blocks
     rows = shape @ phases.to_state[phase][:n]
 
     def look(time):
-        blocks = follow(phases, phase, course, time)
+        blocks = follow(phases, phase, motion, time)
         if quantity == "contact_force":
             depth, rate, acceleration = read_stops(phases, phase, blocks)
             held = touching_bits(phases, phase).astype(depth.dtype)

@@ -1,6 +1,6 @@
 """The cycles of a history, one by one: how long each is, in seconds and in drive periods."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,8 @@ from vibrojax._tools.checks import check_not_negative, check_positive, concrete
 from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.history.crossings import check_whole, crossings, curve_of
-from vibrojax.history.quantities import check_quantity, observables_of, unit_and_label
+from vibrojax.history.quantities import check_quantity, observables_of, quantity_of, unit_and_label
+from vibrojax.history.samples import SampledMotion
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES, described_as
 
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from vibrojax.history.histories import Histories
-    from vibrojax.history.history import History
 
 HYSTERESIS = 0.3
 """Default threshold over the rms of the quantity about the level."""
@@ -236,7 +235,7 @@ class Cycles:
 
 
 def cycles_of(
-    history: "History", quantity: str, level: float | int, threshold: float | int | None
+    history: SampledMotion, quantity: str, level: float | int, threshold: float | int | None
 ) -> Cycles:
     """Read the cycles of one history; see `History.cycles`."""
     check_quantity(history.motion.equations, quantity)
@@ -245,7 +244,7 @@ def cycles_of(
         check_not_negative("threshold", threshold, unit_and_label(quantity)[0])
     if concrete(level) is None or not np.isfinite(level):
         raise ValueError(f"level must be a finite number, got {level!r}.")
-    time, values = np.asarray(history.time), np.asarray(history.quantity(quantity))
+    time, values = np.asarray(history.time), np.asarray(quantity_of(history, quantity)[0])
     if threshold is None:
         threshold = HYSTERESIS * float(np.sqrt(np.mean((values - level) ** 2)))
     ends = counted(curve_of(history, quantity), time, values, float(level), float(threshold))
@@ -266,7 +265,7 @@ def cycles_of(
         drive_periods=np.diff(np.asarray(phase)) / (2 * np.pi),
         drive_frequency=np.asarray(rate) * np.ones(len(middle)) / (2 * np.pi),
         peak_to_peak=each(np.ptp, values),
-        largest={name: each(np.max, np.asarray(history.quantity(name))) for name in watched},
+        largest={name: each(np.max, np.asarray(quantity_of(history, name)[0])) for name in watched},
         quantity=quantity,
         level=float(level),
         threshold=np.array([threshold], float),
@@ -291,7 +290,10 @@ def counted(
 
 
 def cycles_of_each(
-    histories: "Histories", quantity: str, level: float | int, threshold: float | int | None
+    histories: Iterable[SampledMotion],
+    quantity: str,
+    level: float | int,
+    threshold: float | int | None,
 ) -> Cycles:
     """Read and pool the cycles of all histories; see `Histories.cycles`."""
     each = list(histories)

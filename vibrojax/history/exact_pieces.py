@@ -19,7 +19,7 @@ from vibrojax._tools.trigonometry import cosine
 from vibrojax.model.systems import LinearEquations, Motion
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
 from vibrojax.stepping.cubic import Cubic, cubic_between
-from vibrojax.stepping.resonance import driven_growth
+from vibrojax.stepping.phase_motion import contact_indicator, driven_blocks, stop_push
 
 MOST_ROUNDS = 64
 """Events within one sample interval before it is given up."""
@@ -50,7 +50,7 @@ class Pieces(NamedTuple):
     """(q, q') where the piece begins."""
 
 
-class Course(NamedTuple):
+class PhaseMotion(NamedTuple):
     """The motion of lanes in one phase, from where their pieces begin."""
 
     blocks: Float[Array, "states lanes"]
@@ -77,46 +77,37 @@ def _drives(motion, start, duration):
     return angle, rate, motion.drive.complex_amplitude(rate, second)
 
 
-def begin_course(phases, phase, state, angle, rate, amplitude) -> Course:
+def begin_phase(phases, phase, state, angle, rate, amplitude) -> PhaseMotion:
     """Put states (states, lanes) of one phase into block coordinates."""
     steady = forced_blocks(phases, amplitude, rate)[phase]
     driven = resonant_blocks(phases, amplitude, rate)[phase]
     wave = steady.real * jnp.sin(angle) + steady.imag * jnp.cos(angle)
     blocks = phases.from_state[phase] @ state - phases.rest[phase][:, None] - wave
-    return Course(blocks, steady, driven, angle, rate)
+    return PhaseMotion(blocks, steady, driven, angle, rate)
 
 
 def follow(
     phases: ContactPhases,
     phase: Int[Array, ""],
-    course: Course,
+    motion: PhaseMotion,
     time: Float[Array, "lanes *places"],
 ) -> tuple[Float[Array, "states lanes *places"], ...]:
-    """Block coordinates and their first two derivatives, some time (s) into the course."""
-    n, places = phases.num_blocks, time.ndim - 1
+    """Block coordinates and their first two derivatives, some time (s) into it."""
+    places = time.ndim - 1
 
     def wide(a):
         return a.reshape(a.shape + (1,) * places)
 
-    decay = phases.exponent[phase][..., None]
-    turn = phases.rate[phase][:, None]
-    top, bottom = wide(course.blocks[:n]), wide(course.blocks[n:])
-    growth = jnp.exp(wide(decay) * time)
-    angle = wide(turn) * time
-    c, s = cosine(angle), cosine(angle - np.pi / 2)
-    along, across = growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)
-    moved = jnp.concatenate([along, across])
-    rate, steady, driven = wide(course.rate), wide(course.steady), wide(course.driven)
-    moved = moved + driven_growth(
-        wide(decay[0]), wide(turn), driven, wide(course.angle), rate, time
-    )
+    decay, turn = wide(phases.exponent[phase][..., None]), wide(phases.rate[phase][:, None])
+    blocks, steady, driven, begun, rate = map(wide, motion)
+    moved = driven_blocks(decay, turn, blocks, driven, begun, rate, time)
 
     def derived(z):
-        first, second = z[:n], z[n:]
-        along = wide(decay[0]) * first - wide(turn) * second
-        return jnp.concatenate([along, wide(turn) * first + wide(decay[1]) * second])
+        first, second = jnp.split(z, 2)
+        along = decay[0] * first - turn * second
+        return jnp.concatenate([along, turn * first + decay[1] * second])
 
-    drive = wide(course.angle) + rate * time
+    drive = begun + rate * time
     sine, cosine_ = cosine(drive - np.pi / 2), cosine(drive)
     rest = phases.rest[phase].reshape((-1,) + (1,) * time.ndim)
     change = derived(moved) + driven.real * sine + driven.imag * cosine_
@@ -147,25 +138,21 @@ def touching_bits(phases: ContactPhases, phase: Int[Array, ""]) -> Bool[Array, "
 
 def _push(phases, unit_rate, depth, rate, acceleration):
     """Force of a stop as a depth (m), and its rate; the depth itself where it may pull."""
-    k, c = _column(phases.stiffness, depth), _column(phases.damping, depth)
-    unit = k + c * unit_rate
-    sticks = _column(np.asarray(phases.can_pull, bool), depth) | (unit == 0)
-    safe = jnp.where(unit > 0, unit, 1.0)
-    push, slope = (k * depth + c * rate) / safe, (k * rate + c * acceleration) / safe
-    return jnp.where(sticks, depth, push), jnp.where(sticks, rate, slope)
-
-
-def indicator(phases, unit_rate, depth, rate, acceleration):
-    """Contact of each stop (positive in contact) and its rate, m and m/s, seen out of contact."""
-    push, slope = _push(phases, unit_rate, depth, rate, acceleration)
-    by_depth = depth <= push
-    return jnp.where(by_depth, depth, push), jnp.where(by_depth, rate, slope)
+    return stop_push(
+        _column(phases.stiffness, depth),
+        _column(phases.damping, depth),
+        _column(np.asarray(phases.can_pull, bool), depth),
+        unit_rate,
+        depth,
+        rate,
+        acceleration,
+    )
 
 
 def _breach(phases, phase, unit_rate, stops_read):
     """How far a stop is in the wrong phase (positive: it changes contact), and its rate."""
     inside, inside_rate = _push(phases, unit_rate, *stops_read)
-    outside, outside_rate = indicator(phases, unit_rate, *stops_read)
+    outside, outside_rate = contact_indicator(*stops_read[:2], inside, inside_rate)
     touches = _column(touching_bits(phases, phase), inside)
     return jnp.where(touches, -inside, outside), jnp.where(touches, -inside_rate, outside_rate)
 
@@ -177,12 +164,16 @@ def _starting_phase(phases, equations, states, drive_input, unit_rate, near):
     q, v = states[:n], states[n:]
     depth = phases.towards_stop @ q - phases.gap[:, None]
     rate = phases.towards_stop @ v
-    value, _ = indicator(phases, unit_rate, depth, rate, jnp.zeros_like(depth))
+
+    def indicator(acceleration):
+        return contact_indicator(depth, rate, *_push(phases, unit_rate, depth, rate, acceleration))
+
+    value, _ = indicator(jnp.zeros_like(depth))
     force = phases.stiffness[:, None] * depth + phases.damping[:, None] * rate
     free = jax.vmap(equations.linear_force, in_axes=1, out_axes=1)(q, v)
     acceleration = equations.input_map[:, None] * drive_input - free / equations.modal_mass[:, None]
     acceleration = acceleration - phases.push_off @ jnp.where(value > 0, force, 0.0)
-    value, slope = indicator(phases, unit_rate, depth, rate, phases.towards_stop @ acceleration)
+    value, slope = indicator(phases.towards_stop @ acceleration)
     touching = jnp.where(jnp.abs(value) <= near, slope > 0, value > 0)
     bits = (1 << np.arange(phases.num_stops))[:, None]
     return jnp.sum(jnp.where(touching, bits, 0), axis=0)
@@ -199,15 +190,15 @@ class _Cut(NamedTuple):
 @eqx.filter_jit
 def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places):
     """Find the first event of lanes in one phase within a time `length`."""
-    course = begin_course(phases, phase, *lanes)
+    motion = begin_phase(phases, phase, *lanes)
     if not phases.num_stops:
-        return _cut(phases, phase, course, length, jnp.full(length.shape, -1))
+        return _cut(phases, phase, motion, length, jnp.full(length.shape, -1))
     cell = length / places
     time = cell[:, None] * jnp.arange(places + 1)
 
     def breach(time):
         return _breach(
-            phases, phase, unit_rate, read_stops(phases, phase, follow(phases, phase, course, time))
+            phases, phase, unit_rate, read_stops(phases, phase, follow(phases, phase, motion, time))
         )
 
     value, slope = breach(time)
@@ -261,11 +252,11 @@ def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places)
     flips = jnp.where(found & ~missed, stop, -1)
     now = jnp.any(at_once, axis=0)
     end = jnp.where(now, 0.0, jnp.minimum(end, length))
-    return _cut(phases, phase, course, end, jnp.where(now, jnp.argmax(at_once, axis=0), flips))
+    return _cut(phases, phase, motion, end, jnp.where(now, jnp.argmax(at_once, axis=0), flips))
 
 
-def _cut(phases, phase, course, end, stop):
-    blocks, _, _ = follow(phases, phase, course, end)
+def _cut(phases, phase, motion, end, stop):
+    blocks, _, _ = follow(phases, phase, motion, end)
     return _Cut(end, stop, phases.to_state[phase] @ blocks)
 
 
@@ -301,7 +292,7 @@ def batch_size(places: int) -> int:
 
 
 def lanes_of(pieces: Pieces, drives: Drives, items: Int[np.ndarray, " lanes"]) -> tuple[Array, ...]:
-    """Return state, angle, rate and amplitude of some pieces where they begin, for `Course`."""
+    """Return state, angle, rate and amplitude of some pieces where they begin."""
     interval = pieces.interval[items]
     rate = drives.rate[interval]
     angle = drives.angle[interval] + rate * pieces.start[items]

@@ -1,6 +1,6 @@
 """The spectrum of a history: what `spectrum_of` needs, read off the motion."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,19 +12,18 @@ from vibrojax.history.quantities import (
     STRAIN_POWER,
     displacement_of,
     observable_motion,
+    quantity_of,
 )
+from vibrojax.history.samples import SampledMotion
 from vibrojax.history.spectrum import FOLDED, Spectrum, folded_share, spectrum_of
 from vibrojax.model.drives import Harmonic
 from vibrojax.model.impacting_beam import ImpactingBeam
 from vibrojax.model.systems import LinearEquations
 from vibrojax.results.status import Status
 
-if TYPE_CHECKING:
-    from vibrojax.history.history import History
-
 
 def spectrum_of_history(
-    history: "History",
+    history: SampledMotion,
     quantity: str,
     position: ArrayLike | None,
     *,
@@ -51,7 +50,7 @@ def spectrum_of_history(
     is_force = quantity == "contact_force"
     if is_force:
         position = None
-    values = np.asarray(history.quantity(quantity, position))[inside]
+    values = np.asarray(quantity_of(history, quantity, position)[0])[inside]
     motion = history.motion
     equations, waveform, drive = motion.equations, motion.waveform, motion.drive
     _, angular, second = waveform.phase(jnp.zeros(()))

@@ -11,13 +11,13 @@ from vibrojax._tools.checks import check_choice, check_range, nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.history.crossings import check_whole, crossings, curve_of, curve_through
 from vibrojax.history.quantities import observable_motion, observables_of, unit_and_label
+from vibrojax.history.samples import SampledMotion
 from vibrojax.results.variables import described_as
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from vibrojax.history.history import History
 
 DIRECTIONS = ("upwards", "downwards", "both")
 NEWTON_STEPS = 4
@@ -114,7 +114,7 @@ def _told(name: str) -> tuple[str, str]:
 
 
 def section_of(
-    history: "History",
+    history: SampledMotion,
     quantity: str,
     level: float | int | None,
     direction: str,
@@ -161,7 +161,7 @@ def section_of(
     )
 
 
-def strobe_times(history: "History", phase: float) -> Float[np.ndarray, " strobes"]:
+def strobe_times(history: SampledMotion, phase: float) -> Float[np.ndarray, " strobes"]:
     """Return when the drive has a phase (rad, modulo 2 pi) within a history, s."""
     time = np.asarray(history.time)
     waveform = history.motion.waveform

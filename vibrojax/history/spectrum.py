@@ -21,6 +21,7 @@ from vibrojax._tools.checks import (
     nearest,
 )
 from vibrojax._tools.signatures import validated
+from vibrojax.history.quantities import QUANTITIES, unit_and_label, unit_for
 from vibrojax.results.variables import VARIABLES, described_as
 
 if TYPE_CHECKING:
@@ -165,8 +166,6 @@ class Spectrum:
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset over frequency, with units, long names and settings as attributes."""
         import xarray
-
-        from vibrojax.history.quantities import unit_and_label
 
         label = f"{unit_and_label(self.quantity)[1]}, {SCALINGS[self.scaling]}"
         named = {"units": self.units, "long_name": label}
@@ -317,8 +316,6 @@ def spectrum_of(
     The other arguments and the errors are those of `History.spectrum`; the last three name lines.
     """
     from scipy.signal import get_window, welch
-
-    from vibrojax.history.quantities import QUANTITIES, unit_for
 
     if quantity not in VARIABLES:
         check_choice("quantity", quantity, tuple(QUANTITIES))

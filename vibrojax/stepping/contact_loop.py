@@ -13,6 +13,7 @@ from vibrojax.stepping.cubic import cubic_between, cubic_maximum
 from vibrojax.stepping.elementary import apply_matrix, computed_once, where_needed
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.measures import Measures, Segment
+from vibrojax.stepping.phase_motion import contact_indicator, stop_push
 from vibrojax.stepping.resonance import driven_growth
 
 lax = jax.lax
@@ -115,17 +116,17 @@ class ContactLoop:
         depth, speed = reading[:k], reading[k : 2 * k]
         if all(self.phases.can_pull):
             return depth, speed
-        # Without tension contact also ends where the force does; a length: force over stiffness.
-        stiffness = spread(self.phases.stiffness, 1, self.lanes)
-        damping = spread(self.phases.damping, 1, self.lanes)
-        unit = stiffness + damping * self.force.angular_frequency
-        safe = jnp.where(unit > 0, unit, 1.0)
-        acceleration = reading[2 * k : 3 * k]
-        push = jnp.where(unit > 0, (stiffness * depth + damping * speed) / safe, depth)
-        push_rate = jnp.where(unit > 0, (stiffness * speed + damping * acceleration) / safe, speed)
-        pulls = self.column(self.phases.can_pull)
-        by_depth = pulls | (depth <= push)
-        return jnp.where(by_depth, depth, push), jnp.where(by_depth, speed, push_rate)
+        # Without tension contact also ends where the force does.
+        push = stop_push(
+            spread(self.phases.stiffness, 1, self.lanes),
+            spread(self.phases.damping, 1, self.lanes),
+            self.column(self.phases.can_pull),
+            self.force.angular_frequency,
+            depth,
+            speed,
+            reading[2 * k : 3 * k],
+        )
+        return contact_indicator(depth, speed, *push)
 
     def factors(self, phase, oscillates, step):
         """Growth of both rows of every block over a step: decay times (cosine, sine)."""
