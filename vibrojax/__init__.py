@@ -13,7 +13,6 @@ from vibrojax._tools import forks as _forks  # noqa: F401
 from vibrojax._tools import precision as _precision  # noqa: F401
 from vibrojax.branches.branch import Branch as Branch
 from vibrojax.branches.branch import Branches as Branches
-from vibrojax.branches.branch import SpecialPoint as SpecialPoint
 from vibrojax.branches.coexisting import coexisting_responses as coexisting_responses
 from vibrojax.branches.coexisting_result import Coexisting as Coexisting
 from vibrojax.branches.continue_response import continue_response as continue_response
@@ -22,6 +21,7 @@ from vibrojax.branches.fold_curves import FoldCurves as FoldCurves
 from vibrojax.branches.fold_curves import fold_curves as fold_curves
 from vibrojax.branches.folds import Fold as Fold
 from vibrojax.branches.folds import fold_response as fold_response
+from vibrojax.branches.points import SpecialPoint as SpecialPoint
 from vibrojax.ensemble.arguments import zipped as zipped
 from vibrojax.explorer.explore import explore as explore
 from vibrojax.explorer.explorer import Explorer as Explorer

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from vibrojax._tools.described import shown_value
 from vibrojax._tools.signatures import validated
-from vibrojax.branches.branch import SpecialPoint
+from vibrojax.branches.points import SpecialPoint
 from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.steady.contact_times import MOST_EVENTS, Events, Orbit, follow_events
 from vibrojax.steady.implicit import frozen
