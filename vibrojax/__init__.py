@@ -70,6 +70,8 @@ from vibrojax.model.drives import PointForce as PointForce
 from vibrojax.model.elastic_pendulum import ElasticPendulum as ElasticPendulum
 from vibrojax.model.elastic_pendulum import Limiters as Limiters
 from vibrojax.model.elastic_pendulum import default_pendulum as default_pendulum
+from vibrojax.model.equations import AbstractEquations as AbstractEquations
+from vibrojax.model.equations import LinearEquations as LinearEquations
 from vibrojax.model.examples import default_rig as default_rig
 from vibrojax.model.impacting_beam import ImpactingBeam as ImpactingBeam
 from vibrojax.model.laws import AbstractContactLaw as AbstractContactLaw
@@ -85,9 +87,7 @@ from vibrojax.model.matrix_system import MatrixSystem as MatrixSystem
 from vibrojax.model.modes import Modes as Modes
 from vibrojax.model.modes import modes as modes
 from vibrojax.model.stops import Stop as Stop
-from vibrojax.model.systems import AbstractEquations as AbstractEquations
 from vibrojax.model.systems import AbstractSystem as AbstractSystem
-from vibrojax.model.systems import LinearEquations as LinearEquations
 from vibrojax.model.systems import Motion as Motion
 from vibrojax.plot.maps import plot_map as plot_map
 from vibrojax.plot.maps import plot_map_summary as plot_map_summary

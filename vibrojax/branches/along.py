@@ -10,13 +10,8 @@ from vibrojax._tools.described import in_short, recipe
 from vibrojax.ensemble.arguments import Arguments, arguments_of
 from vibrojax.ensemble.frequencies import check_drive
 from vibrojax.ensemble.lanes import check_lists, check_no_numbers, made_by
-from vibrojax.model.systems import (
-    AbstractEquations,
-    AbstractSystem,
-    LinearEquations,
-    as_arrays,
-    equations_of,
-)
+from vibrojax.model.equations import AbstractEquations
+from vibrojax.model.systems import AbstractSystem, as_arrays, equations_of
 from vibrojax.steady.methods import check_balance
 
 
@@ -169,7 +164,7 @@ def check_continued(system: AbstractSystem) -> None:
 
 def check_equations(system: AbstractSystem, equations: AbstractEquations) -> None:
     """Refuse, with a `ValueError`, equations that are not linear but for stops."""
-    if not isinstance(equations, LinearEquations):
+    if equations.linear is None:
         raise ValueError(
             f"{type(system).__name__} is not linear but for its stops, which harmonic balance "
             "needs. Use periodic_response(..., method=Shooting()) at single points."

@@ -28,7 +28,7 @@ from vibrojax.history.exact_pieces import (
     touching_bits,
 )
 from vibrojax.history.finer_steps import Flow, Rows
-from vibrojax.model.systems import LinearEquations, Motion
+from vibrojax.model.systems import Motion
 from vibrojax.stepping.cubic import cubic_between, cubic_maximum
 
 Times = Float[np.ndarray, " samples"]
@@ -147,19 +147,19 @@ def largest(
 
 
 def _check(motion: Motion) -> None:
-    equations = motion.equations
-    if not isinstance(equations, LinearEquations):
+    linear = motion.equations.linear
+    if linear is None:
         raise ValueError(
             "The motion between samples is known of systems that are linear but for their stops "
-            f"(ImpactingBeam, MatrixSystem), not of {type(equations).__name__}."
+            f"(ImpactingBeam, MatrixSystem), not of {type(motion.equations).__name__}."
         )
-    if equations.stiffness_sign is not None:
+    if linear.stiffness_sign is not None:
         raise ValueError(
             "The motion between samples is not known of systems with modes that fall away from "
             "rest (LinearisedPendulum). Read contact_force and quantity(...) of a history with "
             "more samples_per_period."
         )
-    if motion.prepared is None and equations.damping_coupling is not None:
+    if motion.prepared is None and linear.damping_coupling is not None:
         raise ValueError(
             "The damping couples the modes and a stop is not linear in contact: for this the "
             "motion between samples is not known. Use KelvinVoigt stops without smoothing, or "

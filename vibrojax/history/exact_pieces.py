@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from vibrojax._tools.trigonometry import cosine
-from vibrojax.model.systems import LinearEquations, Motion
+from vibrojax.model.equations import LinearEquations
+from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
 from vibrojax.stepping.cubic import Cubic, cubic_between
 from vibrojax.stepping.phase_motion import contact_indicator, driven_blocks, stop_push

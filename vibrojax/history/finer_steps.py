@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from vibrojax.model.equations import LinearEquations, memory_by_stop, stop_forces
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import LinearEquations, Motion, memory_by_stop, stop_forces
+from vibrojax.model.systems import Motion
 from vibrojax.stepping.cubic import cubic_between
 from vibrojax.stepping.splitting import contact_of, driven_flow, kick, steady, steps_for
 

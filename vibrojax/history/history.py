@@ -26,8 +26,7 @@ from vibrojax.history.quantities import (
 )
 from vibrojax.history.samples import SampledMotion
 from vibrojax.history.spectrum import Spectrum
-from vibrojax.model.impacting_beam import ImpactingBeam
-from vibrojax.model.systems import AbstractSystem, LinearEquations, Motion
+from vibrojax.model.systems import AbstractSystem, Motion
 from vibrojax.results.status import Status
 from vibrojax.results.variables import described_as
 
@@ -251,7 +250,7 @@ class History(SampledMotion):
         does.
         """
         check_choice("quantity", quantity, tuple(QUANTITIES))
-        if not isinstance(self.motion.equations, LinearEquations):
+        if self.motion.equations.linear is None:
             raise ValueError(
                 "Peaks between samples are known of systems that are linear but for their stops. "
                 "Sample finely, and take the largest of history.quantity(...)."
@@ -277,7 +276,7 @@ class History(SampledMotion):
             )
 
         unit, modal, along = self.motion.equations.coordinate_units, "Generalised ", "coordinate"
-        if isinstance(self.motion.equations, LinearEquations):
+        if self.motion.equations.linear is not None:
             modal, along = "Modal ", "mode"
         parts = {
             "coordinates": (unit, "coordinates"),
@@ -289,8 +288,8 @@ class History(SampledMotion):
             for name, (units, label) in parts.items()
         }
         data["contact_force"] = named(self.contact_force, "N", "Contact force", "stop")
-        beam = isinstance(self.system, ImpactingBeam)
-        prefix, place = ("tip_", " of the tip") if beam else ("", "")
+        at_tip = self.system.reported_place == 1.0
+        prefix, place = ("tip_", " of the tip") if at_tip else ("", "")
         moved = displacement_of(self)
         for name, values in zip(("displacement", "velocity", "acceleration"), moved, strict=True):
             units, label = QUANTITIES[name]

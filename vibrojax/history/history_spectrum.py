@@ -17,8 +17,6 @@ from vibrojax.history.quantities import (
 from vibrojax.history.samples import SampledMotion
 from vibrojax.history.spectrum import FOLDED, Spectrum, folded_share, spectrum_of
 from vibrojax.model.drives import Harmonic
-from vibrojax.model.impacting_beam import ImpactingBeam
-from vibrojax.model.systems import LinearEquations
 from vibrojax.results.status import Status
 
 
@@ -55,8 +53,8 @@ def spectrum_of_history(
     equations, waveform, drive = motion.equations, motion.waveform, motion.drive
     _, angular, second = waveform.phase(jnp.zeros(()))
     clock, natural = float(angular) / (2 * np.pi), np.zeros(0)
-    if isinstance(equations, LinearEquations):
-        natural = np.asarray(equations.angular_frequency) / (2 * np.pi)
+    if equations.linear is not None:
+        natural = np.asarray(equations.linear.angular_frequency) / (2 * np.pi)
     if np.max(natural, initial=0.0) > rate / 2:
         if quantity in QUANTITIES:
             moved, _, pushed = displacement_of(history, position)
@@ -76,8 +74,8 @@ def spectrum_of_history(
             )
     moving = abs(complex(drive.complex_amplitude(angular, second))) > 0
     of_a_place = quantity in QUANTITIES and not is_force
-    if position is None and isinstance(history.system, ImpactingBeam) and of_a_place:
-        position = 1.0
+    if position is None and of_a_place:
+        position = history.system.reported_place
     return spectrum_of(
         values[:-1] if segment is None else values,
         rate,

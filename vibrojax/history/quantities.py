@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 from vibrojax._tools.checks import nearest
 from vibrojax.history.samples import SampledMotion
 from vibrojax.measured.units import UNITS, unit_named
-from vibrojax.model.systems import AbstractEquations, LinearEquations
+from vibrojax.model.equations import AbstractEquations
 from vibrojax.results.variables import VARIABLES
 
 QUANTITIES = {
@@ -113,7 +113,7 @@ def displacement_of(
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
     """Return the displacement, velocity and acceleration of a history."""
     equations = history.motion.equations
-    if position is None and not isinstance(equations, LinearEquations):
+    if position is None and equations.linear is None:
         return observable_motion(history, "displacement")
     shape = history.shape_at(position)
     return history.coordinates @ shape, history.rates @ shape, history.accelerations @ shape

@@ -5,8 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from vibrojax._tools.checks import check_one, check_range
-from vibrojax.model.impacting_beam import ImpactingBeam
-from vibrojax.model.systems import AbstractSystem, LinearEquations, Motion
+from vibrojax.model.systems import AbstractSystem, Motion
 
 
 class SampledMotion(eqx.Module):
@@ -42,12 +41,12 @@ class SampledMotion(eqx.Module):
 
     def shape_at(self, position: ArrayLike | None) -> Float[Array, " coordinates"]:
         """Displacement at a place x/L by coordinate; None: of the reported displacement."""
-        equations = self.motion.equations
-        if position is None and isinstance(equations, LinearEquations):
-            return equations.response_map
-        if position is None or not isinstance(self.system, ImpactingBeam):
+        linear = self.motion.equations.linear
+        if position is None and linear is not None:
+            return linear.response_map
+        if position is None or self.system.reported_place is None:
             raise ValueError("Only the history of a beam has a position along it.")
         check_one("position", position, "place x/L")
         allowed = "from 0 (root) to 1 (tip)"
         check_range("position", position, 0.0, 1.0, allowed=allowed, advice="It is x/length.")
-        return self.system.modes().shape(position)
+        return self.system.shape_at(position)

@@ -5,8 +5,6 @@ from scipy import stats
 
 from vibrojax.identification.trial_rigs import Curve
 from vibrojax.measured.curve import MeasuredCurve
-from vibrojax.model.beam import Cantilever
-from vibrojax.model.impacting_beam import ImpactingBeam
 from vibrojax.model.laws import linear_coefficients
 from vibrojax.model.systems import AbstractSystem
 
@@ -88,36 +86,23 @@ def modes_left_out(system: AbstractSystem, deviation: float) -> list[str]:
     They act as a spring in series with the stop: their share of the static flexibility of the beam
     there is taken for the stop's own. No misfit shows it. `deviation`: of the stiffness, N/m.
     """
-    if not isinstance(system, ImpactingBeam):
+    left_out = system.flexibility_left_out()
+    if left_out is None:
         return []
     equations = system.equations()
-    kept = np.asarray(equations.stop_map) ** 2 / np.asarray(
-        equations.modal_mass * equations.angular_frequency**2
-    )
     sentences = []
-    for stop, flexibility in zip(system.stops, kept.sum(axis=1), strict=True):
+    for stop, missing in zip(equations.stops, left_out, strict=True):
         law = linear_coefficients(stop.law)
         if law is None:
             continue
         stiffness = float(np.asarray(law[0]))
-        place = float(np.asarray(stop.position))
-        missing = _static_flexibility(system.beam, place) - float(flexibility)
         share = stiffness * missing
         shift = stiffness * share / (1 - share) if share < 1 else np.inf
         if shift > deviation:
             much = f"by about {shift:.3g} N/m" if np.isfinite(shift) else "by far"
             sentences.append(
-                f"With num_modes={system.num_modes}, {missing:.3g} m/N of the beam's static "
+                f"With num_modes={equations.size}, {missing:.3g} m/N of the beam's static "
                 f"flexibility at the stop is left out, so the stiffness comes out too low, {much}. "
                 "No misfit shows this: keep more modes."
             )
     return sentences
-
-
-def _static_flexibility(beam: Cantilever, position: float) -> float:
-    """Static deflection of the whole beam by a unit force at its own place, m/N."""
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    s = position * (nodes + 1) / 2
-    inertia = beam.width * beam.thickness**3 / 12 * (1 - beam.taper * s)
-    bending = (position - s) ** 2 / (beam.youngs_modulus * inertia)
-    return float(np.sum(weights * bending) * position / 2 * beam.length**3)

@@ -24,8 +24,7 @@ from vibrojax.identification.history_motions import (
 )
 from vibrojax.measured.history import MeasuredHistory
 from vibrojax.model.drives import NoDrive
-from vibrojax.model.impacting_beam import ImpactingBeam
-from vibrojax.model.systems import AbstractSystem, LinearEquations
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.choice import is_exact
 
 WIDTH = 4
@@ -330,7 +329,7 @@ class HistoryMisfit:
 def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractSystem) -> Plan:
     """Decide what is computed. Raises `ValueError` for a history the system cannot have."""
     kind = type(system).__name__
-    if not isinstance(system.equations(), LinearEquations):
+    if system.equations().linear is None:
         raise ValueError(
             f"{kind} is not linear but for its stops: histories of such a system are not fitted."
         )
@@ -339,7 +338,7 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
             f"{kind} has a stop whose law has an internal state: histories of such a system are "
             "not fitted."
         )
-    beam = isinstance(system, ImpactingBeam)
+    beam = system.reported_place is not None
     if history.position is not None and not beam:
         raise ValueError(
             f"position = {history.position:g}: only a beam has positions along it, and this is a "

@@ -14,7 +14,8 @@ from jaxtyping import Array, Float, Int
 
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import AbstractDrive, BaseMotion, Harmonic, NoDrive
-from vibrojax.model.systems import LinearEquations, Motion, as_arrays
+from vibrojax.model.equations import LinearEquations
+from vibrojax.model.systems import Motion, as_arrays
 from vibrojax.steady.starting import stepper
 from vibrojax.stepping import splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases

@@ -133,5 +133,13 @@ class Cantilever(eqx.Module):
         stiffness = self.youngs_modulus * self.root_inertia
         return (stiffness / (self.density * self.root_area * self.length**4)) ** 0.5
 
+    def static_flexibility(self, position: float) -> float:
+        """Return the deflection of the beam under a unit force at its own place x/L, m/N."""
+        nodes, weights = np.polynomial.legendre.leggauss(40)
+        s = position * (nodes + 1) / 2
+        inertia = self.root_inertia * (1 - self.taper * s)
+        bending = (position - s) ** 2 / (self.youngs_modulus * inertia)
+        return float(np.sum(weights * bending) * position / 2 * self.length**3)
+
     def __repr__(self) -> str:
         return described(self)

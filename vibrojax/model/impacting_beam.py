@@ -2,20 +2,18 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import check_choice, check_count, check_not_negative, number_field
 from vibrojax._tools.signatures import validated
 from vibrojax.model.beam import Cantilever
 from vibrojax.model.drives import AbstractDrive, NoDrive, PointForce
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.modes import FORMULATIONS, Modes, modes
 from vibrojax.model.states import Displacement, beam_coordinates
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import (
-    AbstractSystem,
-    LinearEquations,
-    as_stops,
-)
+from vibrojax.model.systems import AbstractSystem, as_stops
 
 
 @validated
@@ -81,6 +79,26 @@ class ImpactingBeam(AbstractSystem):
             response_map=free.shape(1.0),
             modal_mass=free.modal_mass,
         )
+
+    @property
+    def reported_place(self) -> float:
+        """The tip, x/L = 1."""
+        return 1.0
+
+    def shape_at(self, position: ArrayLike) -> Float[Array, " modes"]:
+        """Return the mode shapes at a place x/L; `position` is from 0 (root) to 1 (tip)."""
+        return self.modes().shape(position)
+
+    def flexibility_left_out(self) -> list[float]:
+        """Static flexibility at each stop that the modes kept lack, m/N."""
+        equations = self.equations()
+        by_mode = equations.modal_mass * equations.angular_frequency**2
+        kept = np.sum(np.asarray(equations.stop_map**2 / by_mode), axis=1)
+        places = [float(np.asarray(stop.position)) for stop in self.stops]
+        return [
+            self.beam.static_flexibility(place) - float(share)
+            for place, share in zip(places, kept, strict=True)
+        ]
 
     def modal_coordinates(self, displacement: Displacement) -> Float[Array, " modes"]:
         """Return the modal coordinates (m) of a displacement, or (m/s) of a velocity.

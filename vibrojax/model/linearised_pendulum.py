@@ -8,9 +8,10 @@ from jaxtyping import Array, ArrayLike, Float
 from vibrojax._tools.checks import check_count, check_positive
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.equations import AbstractGauge, LinearEquations
 from vibrojax.model.pendulum_equations import PendulumEquations, pendulum_observables
 from vibrojax.model.states import Displacement, check_coordinates
-from vibrojax.model.systems import AbstractGauge, AbstractSystem, LinearEquations
+from vibrojax.model.systems import AbstractSystem
 
 
 class PendulumGauge(AbstractGauge):

@@ -15,14 +15,10 @@ from vibrojax._tools.checks import check_count, concrete
 from vibrojax._tools.described import shown_value
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive, NoDrive
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.states import Displacement, check_coordinates
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import (
-    AbstractSystem,
-    LinearEquations,
-    as_stops,
-    check_stops_and_drive,
-)
+from vibrojax.model.systems import AbstractSystem, as_stops, check_stops_and_drive
 
 Matrix = ArrayLike | Sequence[Any]
 

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from vibrojax._tools.trigonometry import cosine, sine
+from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import AbstractEquations
 
 
 class PendulumEquations(AbstractEquations):

@@ -1,9 +1,7 @@
-"""What moves: the equation every system shares.
+"""What moves: a *system* holds the numbers a person gives.
 
-M(q) q'' + C q' + K q = f(q, q') + B(q) a(t) + sum over stops of J(q)^T F(penetration, rate)
-
-with C and K constant. A *system* holds the numbers a person gives; its *equations* are computed
-from them once, before any stepping, so that nothing derived can go stale.
+Its *equations* are computed from them once, before any stepping, so that nothing derived can go
+stale.
 """
 
 import dataclasses
@@ -14,383 +12,18 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import name_of
 from vibrojax._tools.described import described, in_short, shown_value
 from vibrojax._tools.signatures import check_not_traced, check_one_lane, validated
 from vibrojax.model.drives import AbstractDrive, AbstractWaveform
+from vibrojax.model.equations import AbstractEquations, LinearEquations
 from vibrojax.model.states import Displacement, as_state, check_coordinates
 from vibrojax.model.stops import Stop
 
 ModuleType = TypeVar("ModuleType", bound=eqx.Module)
 SystemType = TypeVar("SystemType", bound="AbstractSystem")
-
-
-class AbstractEquations(eqx.Module):
-    """The equations of motion of one lane; no batch axis.
-
-    A subclass gives the pieces, of which only the linear ones are constant; the acceleration
-    follows from them here.
-    """
-
-    stops: eqx.AbstractVar[tuple[Stop, ...]]
-    """The stops, in the order of `penetration`."""
-
-    @property
-    @abstractmethod
-    def size(self) -> int:
-        """How many coordinates there are."""
-
-    @property
-    def has_constant_mass(self) -> bool:
-        """Whether M does not hang on q."""
-        return False
-
-    @property
-    def memory_size(self) -> int:
-        """How many stops have an internal state (`AbstractMemoryLaw`)."""
-        return sum(stop.has_memory for stop in self.stops)
-
-    @property
-    def state_size(self) -> int:
-        """Length of a state (q, q', memories of the stops)."""
-        return 2 * self.size + self.memory_size
-
-    def split(
-        self, state: Float[Array, "states *lanes"]
-    ) -> tuple[
-        Float[Array, "coordinates *lanes"],
-        Float[Array, "coordinates *lanes"],
-        Float[Array, "memories *lanes"],
-    ]:
-        """Return q, q' and the memories of the stops.
-
-        `state` has the shape (states,) and may carry lanes as trailing axes.
-        """
-        n = self.size
-        return state[:n], state[n : 2 * n], state[2 * n :]
-
-    @abstractmethod
-    def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
-        """Return the mass matrix M(q).
-
-        Shape (coordinates, coordinates); `q` are the coordinates, in `coordinate_units`.
-        """
-
-    @abstractmethod
-    def linear_force(
-        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
-    ) -> Float[Array, " coordinates"]:
-        """Return C q' + K q.
-
-        Shape (coordinates,); `q` are the coordinates, `rate` their velocities q'.
-        """
-
-    @abstractmethod
-    def smooth_force(
-        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
-    ) -> Float[Array, " coordinates"]:
-        """Return f(q, q'), the smooth nonlinear force (zero for a linear system).
-
-        Shape (coordinates,); `q` are the coordinates, `rate` their velocities q'.
-        """
-
-    @abstractmethod
-    def input(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
-        """Return B(q), the generalised force of a unit input.
-
-        Shape (coordinates,); `q` are the coordinates.
-        """
-
-    @abstractmethod
-    def penetration(self, q: Float[Array, " coordinates"]) -> Float[Array, " stops"]:
-        """Return how deep the body is in each stop, m; negative out of contact.
-
-        Shape (stops,); `q` are the coordinates.
-        """
-
-    @abstractmethod
-    def response(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
-        """Return the displacement that a frequency response reports, m (the tip, say).
-
-        `q` are the coordinates, shape (coordinates,).
-        """
-
-    @property
-    def coordinate_units(self) -> str:
-        """Unit of the coordinates."""
-        return "m"
-
-    def observables(self, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
-        """Return what can be watched of a motion, by name, in SI units.
-
-        `displacement` (the response) and `strain_energy` of every system, and what else it has.
-
-        `q` are the coordinates, shape (coordinates,).
-        """
-        return {"displacement": self.response(q), "strain_energy": self.strain_energy(q)}
-
-    def strain_energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
-        """Return q' K q / 2, J.
-
-        `q` are the coordinates, shape (coordinates,).
-        """
-        return q @ self.linear_force(q, jnp.zeros_like(q)) / 2
-
-    def mass_times(
-        self, q: Float[Array, " coordinates"], vector: Float[Array, " coordinates"]
-    ) -> Float[Array, " coordinates"]:
-        """Return M(q) times a vector; a system may do it without forming M."""
-        return self.mass(q) @ vector
-
-    def contact_forces(
-        self,
-        q: Float[Array, " coordinates"],
-        rate: Float[Array, " coordinates"],
-        memory: Float[Array, " memories"] | None = None,
-    ) -> Float[Array, " stops"]:
-        """Return the rounded force of each stop, N, positive when it pushes the body off.
-
-        Without `memory`, stops that have one were at rest before.
-
-        `q` are the coordinates, `rate` their velocities q', each of shape (coordinates,).
-        """
-        depth, depth_rate = jax.jvp(self.penetration, (q,), (rate,))
-        return stop_forces(self.stops, depth, depth_rate, memory)
-
-    def memory_rates(
-        self,
-        q: Float[Array, " coordinates"],
-        rate: Float[Array, " coordinates"],
-        memory: Float[Array, " memories"],
-    ) -> Float[Array, " memories"]:
-        """Return how fast the memories of the stops change, per s.
-
-        `q` are the coordinates, `rate` their velocities q', `memory` the internal states.
-        """
-        depth, depth_rate = jax.jvp(self.penetration, (q,), (rate,))
-        return memory_rates(self.stops, depth, depth_rate, memory)
-
-    def acceleration(
-        self,
-        q: Float[Array, " coordinates"],
-        rate: Float[Array, " coordinates"],
-        drive_input: Float[ArrayLike, ""],
-        memory: Float[Array, " memories"] | None = None,
-    ) -> Float[Array, " coordinates"]:
-        """Solve the equation of motion for q''.
-
-        `q` are the coordinates, `rate` their velocities q', `drive_input` is a(t) (m/s2 or
-        N), `memory` the internal states of the stops, at rest without it. Shape
-        (coordinates,).
-        """
-        _, pull_back = jax.vjp(self.penetration, q)
-        (contact,) = pull_back(-self.contact_forces(q, rate, memory))
-        total = (
-            self.smooth_force(q, rate)
-            - self.linear_force(q, rate)
-            + self.input(q) * drive_input
-            + contact
-        )
-        return jnp.linalg.solve(self.mass(q), total)
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}(coordinates: {self.size}, stops: {len(self.stops)})"
-
-
-class AbstractGauge(eqx.Module):
-    """Reads what can be watched off modal coordinates, beyond the displacement and the energy."""
-
-    @abstractmethod
-    def __call__(self, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
-        """Return values by name, in SI units."""
-
-
-class LinearEquations(AbstractEquations):
-    """Modal equations of a body that is linear but for its stops.
-
-    q_i'' + 2 zeta_i w_i q_i' + sum over j of coupling_ij q_j' + w_i^2 q_i = input_i a(t) - sum
-    over stops force_map_is F_s. The equations of the beam, and of anything reduced to its modes.
-    Source: Gandhi and Vyas 2017, eqs. 36 and 37. Arrays may carry lanes as trailing axes.
-    """
-
-    stops: tuple[Stop, ...]
-    """The stops, in the order of the rows of `stop_map`."""
-    angular_frequency: Float[Array, "coordinates *lanes"]
-    """Natural angular frequencies w_i, rad/s."""
-    damping_ratio: Float[Array, "coordinates *lanes"]
-    """Damping ratios zeta_i."""
-    input_map: Float[Array, "coordinates *lanes"]
-    """Modal acceleration of a unit input."""
-    stop_map: Float[Array, "stops coordinates *lanes"]
-    """Displacement of each stop's contact point towards the stop, by coordinate."""
-    force_map: Float[Array, "coordinates stops *lanes"]
-    """Modal acceleration of a unit contact force, by stop; the force acts against it."""
-    response_map: Float[Array, "coordinates *lanes"]
-    """Displacement that a frequency response reports, by coordinate."""
-    modal_mass: Float[Array, "coordinates *lanes"]
-    """Modal masses, kg; weights of the energy."""
-    damping_coupling: Float[Array, "coordinates coordinates *lanes"] | None = None
-    """Damping beyond 2 zeta_i w_i: deceleration of coordinate i by the rate of j, 1/s.
-
-    None where the damping does not couple the modes.
-    """
-    stiffness_sign: Float[Array, "coordinates *lanes"] | None = None
-    """-1 for a mode that falls away from rest, whose stiffness is -w_i^2, else 1; None: all 1."""
-    gauge: AbstractGauge | None = None
-    """What reads further observables off the coordinates."""
-
-    @property
-    def size(self) -> int:
-        """How many coordinates there are."""
-        return self.angular_frequency.shape[0]
-
-    @property
-    def has_constant_mass(self) -> bool:
-        """Whether M does not hang on q: so it is."""
-        return True
-
-    def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
-        """Return the diagonal of modal masses."""
-        return jnp.diag(self.modal_mass)
-
-    def linear_force(
-        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
-    ) -> Float[Array, " coordinates"]:
-        """Return C q' + K q."""
-        return self.modal_mass * (self._damping(rate) + self.modal_stiffness * q)
-
-    @property
-    def modal_stiffness(self) -> Float[Array, "coordinates *lanes"]:
-        """Stiffness over mass of every mode, 1/s2: w_i^2, less than 0 where it falls away."""
-        square = self.angular_frequency**2
-        return square if self.stiffness_sign is None else self.stiffness_sign * square
-
-    def _damping(self, rate: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
-        diagonal = 2 * self.damping_ratio * self.angular_frequency * rate
-        if self.damping_coupling is None:
-            return diagonal
-        return diagonal + self.damping_coupling @ rate
-
-    def smooth_force(
-        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
-    ) -> Float[Array, " coordinates"]:
-        """Return zero: the body is linear."""
-        return jnp.zeros_like(q)
-
-    def input(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
-        """Return the generalised force of a unit input."""
-        return self.modal_mass * self.input_map
-
-    def penetration(self, q: Float[Array, " coordinates"]) -> Float[Array, " stops"]:
-        """Return how deep the body is in each stop, m."""
-        gaps = jnp.stack([jnp.asarray(s.gap) for s in self.stops]) if self.stops else 0.0
-        return self.stop_map @ q - gaps
-
-    def response(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
-        """Return the reported displacement, m."""
-        return self.response_map @ q
-
-    def observables(self, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
-        """Return what can be watched of a motion, by name, in SI units."""
-        seen = super().observables(q)
-        return seen if self.gauge is None else seen | self.gauge(q)
-
-    @property
-    def energy_weight(self) -> Float[Array, "states *lanes"]:
-        """Weights of a state: its weighted norm is the root of twice its energy.
-
-        A memory counts with the stiffness of its stop when touched first.
-        """
-        root_mass = jnp.sqrt(self.modal_mass)
-        rows = [root_mass * self.angular_frequency, root_mass]
-        for stop in self.stops:
-            if stop.has_memory:
-                root = jnp.sqrt(jnp.maximum(contact_slope(stop), 0.0))
-                rows.append(jnp.broadcast_to(root, root_mass.shape[1:])[None])
-        return jnp.concatenate(rows)
-
-    def acceleration(
-        self,
-        q: Float[Array, " coordinates"],
-        rate: Float[Array, " coordinates"],
-        drive_input: Float[ArrayLike, ""],
-        memory: Float[Array, " memories"] | None = None,
-    ) -> Float[Array, " coordinates"]:
-        """Solve the equation of motion for q'', without forming the diagonal mass matrix."""
-        stiffness = self.modal_stiffness * q
-        free = self.input_map * drive_input - self._damping(rate) - stiffness
-        return free - self.force_map @ self.contact_forces(q, rate, memory)
-
-    def __repr__(self) -> str:
-        frequencies = shown_value(self.angular_frequency, "rad/s", exact=False)
-        return (
-            f"LinearEquations(coordinates: {self.size}, stops: {len(self.stops)}, "
-            f"angular_frequency={frequencies})"
-        )
-
-
-def contact_slope(stop: Stop) -> Float[Array, "*lanes"]:
-    """Stiffness of a stop not touched before, N/m: at a tenth of its gap, beyond the rounding."""
-    depth = jnp.maximum(0.1 * jnp.asarray(stop.gap), 10 * jnp.asarray(stop.width))
-    depth = jnp.maximum(depth, 1e-9)
-    _, slope = jax.jvp(
-        lambda d: stop.force(d, jnp.zeros_like(d)), (depth,), (jnp.ones_like(depth),)
-    )
-    return slope
-
-
-def stop_forces(
-    stops: tuple[Stop, ...],
-    depth: Float[Array, "stops *lanes"],
-    rate: Float[Array, "stops *lanes"],
-    memory: Float[Array, "memories *lanes"] | None = None,
-) -> Float[Array, "stops *lanes"]:
-    """Return the rounded force of each stop, N, from depths (m), their rates and memories."""
-    kept = memory_by_stop(stops, memory)
-    forces = [s.force(depth[i], rate[i], kept[i]) for i, s in enumerate(stops)]
-    return jnp.stack(forces) if forces else jnp.zeros_like(depth)
-
-
-def memory_rates(
-    stops: tuple[Stop, ...],
-    depth: Float[Array, "stops *lanes"],
-    rate: Float[Array, "stops *lanes"],
-    memory: Float[Array, "memories *lanes"],
-) -> Float[Array, "memories *lanes"]:
-    """Return how fast the memories of the stops change, per s."""
-    kept = memory_by_stop(stops, memory)
-    rates = [
-        stop.memory_rate(depth[i], rate[i], held)
-        for i, (stop, held) in enumerate(zip(stops, kept, strict=True))
-        if held is not None
-    ]
-    return jnp.stack(rates) if rates else jnp.zeros_like(memory)
-
-
-def touching_stops(
-    stops: tuple[Stop, ...],
-    depth: Float[Array, "stops *lanes"],
-    force: Float[Array, "stops *lanes"],
-) -> Bool[Array, "stops *lanes"]:
-    """Return which stops are touched, from depths (m) and forces (N).
-
-    The surface of a stop with memory may not be back yet where the body comes again.
-    """
-    lagging = np.array([stop.has_memory for stop in stops], bool)
-    return (depth > 0) & (~lagging.reshape((-1,) + (1,) * (depth.ndim - 1)) | (force > 0))
-
-
-def memory_by_stop(
-    stops: tuple[Stop, ...], memory: Float[Array, "memories *lanes"] | None
-) -> list[Float[Array, "*lanes"] | None]:
-    """Return the memory of every stop, None for those without."""
-    if memory is None:
-        return [None] * len(stops)
-    held = iter(range(memory.shape[0]))
-    return [memory[next(held)] if stop.has_memory else None for stop in stops]
 
 
 class AbstractSystem(eqx.Module):
@@ -402,6 +35,29 @@ class AbstractSystem(eqx.Module):
     @abstractmethod
     def equations(self) -> AbstractEquations:
         """Compute the equations of motion from the numbers of the system."""
+
+    @property
+    def reported_place(self) -> float | None:
+        """Place x/L of the displacement that is reported; None for a system without places."""
+        return None
+
+    def shape_at(self, position: ArrayLike) -> Float[Array, " coordinates"]:
+        """Return the displacement at a place x/L by coordinate; `position` is from 0 to 1.
+
+        Raises `ValueError` for a system without places.
+        """
+        raise ValueError("Only the history of a beam has a position along it.")
+
+    def static_shape(self, tip_displacement: ArrayLike) -> Float[Array, " coordinates"]:
+        """Return the coordinates of the system pulled at its tip to `tip_displacement`, m.
+
+        Raises `ValueError` for a system without a tip.
+        """
+        raise ValueError("release is for an ImpactingBeam: give initial_state instead.")
+
+    def flexibility_left_out(self) -> list[float] | None:
+        """Static flexibility at each stop that the coordinates lack, m/N; None: not known."""
+        return None
 
     def modal_coordinates(self, displacement: Displacement) -> Float[Array, " coordinates"]:
         """Return the coordinates q of a displacement, or q' of a velocity.

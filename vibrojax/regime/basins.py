@@ -24,8 +24,9 @@ from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.arguments import Zipped
 from vibrojax.ensemble.frequencies import check_drive, frequency_axis
 from vibrojax.ensemble.lanes import lanes_of
+from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.states import as_state
-from vibrojax.model.systems import AbstractEquations, AbstractSystem
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.regime.attractors import Attractors, BasinPlan, find_attractors
 from vibrojax.regime.basins_result import Basins
 from vibrojax.regime.strobing import Strober

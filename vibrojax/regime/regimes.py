@@ -17,7 +17,7 @@ from vibrojax.ensemble.arguments import Zipped
 from vibrojax.ensemble.frequencies import check_drive, frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.model.states import as_state
-from vibrojax.model.systems import AbstractSystem, LinearEquations, as_arrays
+from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.regime.regime_points import RegimePlan, regime_plan, regime_points
 from vibrojax.regime.regimes_result import Regimes
 from vibrojax.regime.strobing import Strober
@@ -140,7 +140,7 @@ def regime_method(
     check_steps(step_tolerance, steps_per_period)
     check_drive(sample)
     equations = eqx.filter_eval_shape(as_arrays(sample).equations)
-    if axis == "frequency_ratio" and not isinstance(equations, LinearEquations):
+    if axis == "frequency_ratio" and equations.linear is None:
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
     return choose_method(sample, method, step_tolerance, steps_per_period)
 

@@ -19,9 +19,9 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.laws import can_pull, linear_coefficients
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import LinearEquations
 from vibrojax.steady.methods import check_balance
 from vibrojax.stepping.contact_phases import _eigen
 

@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.systems import AbstractSystem, LinearEquations
+from vibrojax.model.equations import LinearEquations
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.steady.contact_times import Tables, tables_of
 from vibrojax.stepping.contact_phases import ContactPhases, can_resonate, contact_phases
 
@@ -101,8 +102,8 @@ class ParameterPath(AbstractPath):
     def at(self, parameter: Float[Array, ""]) -> Place:
         """Make the system anew."""
         system = self.make(**self.static, **self.fixed, **{self.name: parameter})
-        equations = system.equations()
-        assert isinstance(equations, LinearEquations)
+        equations = system.equations().linear
+        assert equations is not None  # checked before
         unit = equations.angular_frequency[0] if self.is_ratio else 2 * jnp.pi
         return Place(equations, system.drive, self.frequency * unit)
 
@@ -144,8 +145,8 @@ def _localise(paths: AbstractPath, parameter: Float[AnyArray, " points"], exact:
 
 def frequency_path(system: AbstractSystem, is_ratio: bool, exact: bool) -> FrequencyPath:
     """Make the path along the drive frequency (a ratio to the first natural one, or Hz)."""
-    equations = system.equations()
-    assert isinstance(equations, LinearEquations)
+    equations = system.equations().linear
+    assert equations is not None  # checked before
     unit = equations.angular_frequency[0] if is_ratio else jnp.asarray(2 * jnp.pi)
     phases = contact_phases(equations) if exact else None
     return FrequencyPath(equations, system.drive, unit, phases)

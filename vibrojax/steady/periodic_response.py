@@ -13,7 +13,7 @@ from vibrojax._tools.checks import check_count, check_one_number, check_range, i
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
 from vibrojax.model.states import ABOUT_STATES, as_state
-from vibrojax.model.systems import AbstractSystem, LinearEquations, as_arrays, check_is_system
+from vibrojax.model.systems import AbstractSystem, as_arrays, check_is_system
 from vibrojax.steady.balanced_motion import balanced_strobes, read_balanced, solve_balance
 from vibrojax.steady.batches import REPAIRS
 from vibrojax.steady.contact_times import MOST_EVENTS, Events, Orbit, follow_events
@@ -86,15 +86,15 @@ def periodic_response(
         raise ValueError(f"method must be Shooting() or HarmonicBalance(), got {method!r}.")
     arrays, value = as_arrays(system), jnp.asarray(value, float)
     equations = eqx.filter_eval_shape(arrays.equations)
-    linear = isinstance(equations, LinearEquations)
-    if is_ratio and not linear:
+    linear = equations.linear
+    if is_ratio and linear is None:
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
     state = None if guess is None else as_state("guess", guess, equations)
-    exact = linear and is_exact(system)
-    shot = not linear or bool(equations.memory_size)
-    if linear and method is None:
+    exact = linear is not None and is_exact(system)
+    shot = linear is None or bool(equations.memory_size)
+    if linear is not None and method is None:
         # About a position that the body falls away from there is no steady response to start from.
-        shot = shot or equations.stiffness_sign is not None
+        shot = shot or linear.stiffness_sign is not None
     if isinstance(method, HarmonicBalance):
         check_balance(equations.stops)
     if isinstance(method, Shooting) or shot:

@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.signatures import validated
-from vibrojax.model.systems import AbstractSystem, LinearEquations
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES
 from vibrojax.stepping.resonance import is_unbounded, unbounded_at
@@ -292,8 +292,8 @@ def reading_of(
 def compared(place: Any, strobes: Array, guess: Array | None) -> tuple[Array, Array]:
     """Return the periods after which a motion repeats first, and its distance from a guess."""
     equations, count = place.equations, strobes.shape[0]
-    if isinstance(equations, LinearEquations):
-        weight = equations.energy_weight
+    if equations.linear is not None:
+        weight = equations.linear.energy_weight
     else:
         n = equations.size
         weight = jnp.ones(strobes.shape[1]).at[n : 2 * n].set(1 / place.angular_frequency)

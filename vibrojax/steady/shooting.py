@@ -10,13 +10,8 @@ import optimistix
 from jaxtyping import Array, Float
 
 from vibrojax.model.drives import AbstractDrive, Harmonic
-from vibrojax.model.systems import (
-    AbstractEquations,
-    AbstractSystem,
-    LinearEquations,
-    Motion,
-    touching_stops,
-)
+from vibrojax.model.equations import AbstractEquations, touching_stops
+from vibrojax.model.systems import AbstractSystem, Motion
 from vibrojax.steady.implicit import frozen, with_columns
 from vibrojax.steady.methods import Shooting
 from vibrojax.steady.periodic_result import PeriodicResponse, Sampled, reading_of
@@ -48,7 +43,7 @@ def shoot(
     solver = method.solver
     if solver is None:
         equations = eqx.filter_eval_shape(system.equations)
-        if equations.stops or isinstance(equations, LinearEquations):
+        if equations.stops or equations.linear is not None:
             solver = choose_method(system, None, 1e-6 if exact else 1e-4, None)
         else:
             solver = diffrax.Tsit5()  # nothing is stiff or sharp for all that is known

@@ -24,8 +24,8 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.trigonometry import cosine
 from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.equations import AbstractEquations, LinearEquations
 from vibrojax.model.laws import can_pull, linear_coefficients
-from vibrojax.model.systems import AbstractEquations, LinearEquations
 from vibrojax.steady.contact_times import Tables, moved_on, tables_of
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 
@@ -71,7 +71,8 @@ def check_single_stop(equations: AbstractEquations) -> LinearEquations:
     Raises `ValueError` unless they are linear with one `KelvinVoigt` stop that may pull
     (tension=True) and is not smoothed.
     """
-    if not isinstance(equations, LinearEquations):
+    linear = equations.linear
+    if linear is None:
         raise ValueError(
             "Single-contact motions need a system that is linear between contacts, got "
             f"{type(equations).__name__}."
@@ -96,7 +97,7 @@ def check_single_stop(equations: AbstractEquations) -> LinearEquations:
             f"Single-contact motions keep the corner of the contact force, got smoothing = "
             f"{stop.smoothing!r}. Leave smoothing out of the Stop."
         )
-    return equations
+    return linear
 
 
 def unit_phases(equations: LinearEquations) -> ContactPhases:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.systems import LinearEquations
+from vibrojax.model.equations import LinearEquations
 from vibrojax.steady.single_contact import (
     check_single_stop,
     gap_ratio_and_slope,

@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float
 
 from vibrojax._tools.checks import check_range
 from vibrojax._tools.signatures import validated
-from vibrojax.model.systems import AbstractSystem, LinearEquations, as_arrays, equations_of
+from vibrojax.model.equations import LinearEquations
+from vibrojax.model.systems import AbstractSystem, as_arrays, equations_of
 from vibrojax.results.saving import save_dataset
 from vibrojax.results.variables import VARIABLES
 from vibrojax.steady.single_contact import unit_phases
@@ -227,8 +228,8 @@ class SingleContactResponse(eqx.Module):
 
 
 def _equations(system: AbstractSystem) -> LinearEquations:
-    equations = equations_of(as_arrays(system))
-    assert isinstance(equations, LinearEquations)  # checked before the result was made
+    equations = equations_of(as_arrays(system)).linear
+    assert equations is not None  # checked before the result was made
     return equations
 
 

@@ -2,8 +2,9 @@
 
 import equinox as eqx
 
+from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import AbstractEquations, AbstractSystem, LinearEquations
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.contact_phases import MAX_STOPS, ContactPhases, contact_phases
 from vibrojax.stepping.linearly_implicit import LinearlyImplicit
 from vibrojax.stepping.method import AbstractMethod, ExactContact, ExponentialSplitting
@@ -23,7 +24,7 @@ def _shapes(system: AbstractSystem) -> AbstractEquations:
 def is_exact(system: AbstractSystem) -> bool:
     """Return whether flight and contact of the system can be propagated exactly."""
     shapes = _shapes(system)
-    if not isinstance(shapes, LinearEquations) or shapes.stiffness_sign is not None:
+    if shapes.linear is None or shapes.linear.stiffness_sign is not None:
         # What falls away comes to rest on its stops, where landings come too thick.
         return False
     stops = _stops(system)
@@ -58,8 +59,8 @@ def choose_method(
         return method
     if exact:
         return ExactContact(tolerance, steps_per_period)
-    shapes = _shapes(system)
-    modal = isinstance(shapes, LinearEquations) and shapes.damping_coupling is None
+    linear = _shapes(system).linear
+    modal = linear is not None and linear.damping_coupling is None
     # Modes that the damping couples have no exact drift of their own.
     return (ExponentialSplitting if modal else LinearlyImplicit)(tolerance, steps_per_period)
 
@@ -69,6 +70,6 @@ _contact_phases = eqx.filter_jit(contact_phases)
 
 def prepare_motion(system: AbstractSystem, equations: AbstractEquations) -> ContactPhases | None:
     """Compute the phases of `ExactContact` where that method suits the system."""
-    if isinstance(equations, LinearEquations) and is_exact(system):
-        return _contact_phases(equations)
+    if equations.linear is not None and is_exact(system):
+        return _contact_phases(equations.linear)
     return None

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from vibrojax._tools.checks import concrete
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.laws import can_pull, linear_coefficients
-from vibrojax.model.systems import LinearEquations
 from vibrojax.stepping.resonance import NEAR, is_resonant
 
 MAX_STOPS = 4

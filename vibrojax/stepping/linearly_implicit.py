@@ -12,14 +12,8 @@ from jaxtyping import Array, Float, Int
 from vibrojax._tools.checks import check_count, check_positive, concrete
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.systems import (
-    AbstractEquations,
-    AbstractSystem,
-    Motion,
-    as_arrays,
-    equations_of,
-    touching_stops,
-)
+from vibrojax.model.equations import AbstractEquations, touching_stops
+from vibrojax.model.systems import AbstractSystem, Motion, as_arrays, equations_of
 from vibrojax.stepping.linearly_implicit_step import (
     StepMatrix,
     linear_matrices,

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from vibrojax.model.equations import AbstractEquations, stop_forces
 from vibrojax.model.laws import linear_coefficients
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import AbstractEquations, stop_forces
 from vibrojax.stepping.splitting import drift
 
 CONTACT_PASSES = 4

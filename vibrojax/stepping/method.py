@@ -15,7 +15,8 @@ from vibrojax._tools.checks import check_count, check_range, concrete
 from vibrojax._tools.described import described
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.systems import AbstractEquations, LinearEquations, Motion
+from vibrojax.model.equations import AbstractEquations, LinearEquations
+from vibrojax.model.systems import Motion
 from vibrojax.stepping import exact_contact, splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 from vibrojax.stepping.cubic import cubic_between

@@ -18,8 +18,8 @@ from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 from vibrojax._tools.trigonometry import cosine
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import AbstractDrive
+from vibrojax.model.equations import AbstractEquations, LinearEquations, contact_slope
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import AbstractEquations, LinearEquations, contact_slope
 
 NEAR = 1e-4
 """Distance of pole and drive, relative to the frequency, below which the input is integrated: at

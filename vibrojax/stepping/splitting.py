@@ -17,15 +17,15 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.trigonometry import cosine, sine
-from vibrojax.model.stops import Stop
-from vibrojax.model.systems import (
+from vibrojax.model.equations import (
     LinearEquations,
-    Motion,
     contact_slope,
     memory_rates,
     stop_forces,
     touching_stops,
 )
+from vibrojax.model.stops import Stop
+from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_phases import spread
 from vibrojax.stepping.cubic import cubic_maximum
 from vibrojax.stepping.elementary import computed_once, where_needed

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.systems import AbstractEquations, AbstractSystem, LinearEquations
+from vibrojax.model.equations import AbstractEquations
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.method import AbstractMarch, AbstractMethod, with_traced_numbers
@@ -74,8 +75,8 @@ def _prepare(method: AbstractMethod, rigs: Rigs) -> Prepared:
 
 
 def _first_frequency(equations: AbstractEquations) -> Array:
-    if isinstance(equations, LinearEquations):
-        return equations.angular_frequency[0]
+    if equations.linear is not None:
+        return equations.linear.angular_frequency[0]
     return jnp.asarray(jnp.nan)
 
 
