@@ -49,7 +49,7 @@ from vibrojax.maps.parameter_map import parameter_map as parameter_map
 from vibrojax.maps.periodic_points import PeriodicPoints as PeriodicPoints
 from vibrojax.maps.planning import MapPlan as MapPlan
 from vibrojax.maps.regime_sweep import RegimeSweep as RegimeSweep
-from vibrojax.maps.responses import SettledSweep as SettledSweep
+from vibrojax.maps.settled_sweep import SettledSweep as SettledSweep
 from vibrojax.maps.store_files import StoreFull as StoreFull
 from vibrojax.maps.store_files import StoreInUse as StoreInUse
 from vibrojax.maps.store_files import StoreReadOnly as StoreReadOnly

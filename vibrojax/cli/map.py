@@ -20,7 +20,8 @@ from vibrojax.ensemble.arguments import Zipped, zipped
 from vibrojax.io.rig_file import check_most, frequency_range, one_frequency, read_map, spaced
 from vibrojax.maps.continuation_curves import ContinuationCurve
 from vibrojax.maps.periodic_points import PeriodicPoints
-from vibrojax.maps.responses import AbstractMapResponse, SettledSweep
+from vibrojax.maps.responses import AbstractMapResponse
+from vibrojax.maps.settled_sweep import SettledSweep
 from vibrojax.maps.store import map_at
 from vibrojax.maps.store_files import is_full
 from vibrojax.maps.template import FAILED

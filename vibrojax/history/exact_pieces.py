@@ -153,7 +153,8 @@ def _push(phases, unit_rate, depth, rate, acceleration):
 def _breach(phases, phase, unit_rate, stops_read):
     """How far a stop is in the wrong phase (positive: it changes contact), and its rate."""
     inside, inside_rate = _push(phases, unit_rate, *stops_read)
-    outside, outside_rate = contact_indicator(*stops_read[:2], inside, inside_rate)
+    depth, rate, _ = stops_read
+    outside, outside_rate = contact_indicator(depth, rate, inside, inside_rate)
     touches = _column(touching_bits(phases, phase), inside)
     return jnp.where(touches, -inside, outside), jnp.where(touches, -inside_rate, outside_rate)
 
