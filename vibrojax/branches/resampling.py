@@ -124,7 +124,7 @@ def _exactly(branch: BranchPoints, values, first, share, depth):
         high, above = np.where(same, high, middle), np.where(same, above, value)
         close = Guess(near.events, near.orbit, np.ones(len(left), bool))
     point = _replaced(branch, point, left, close, values)
-    # Next to a resonance without damping a sampled motion does not tell the state: from the points.
+    # Next to a resonance without damping samples do not determine the state: from the points.
     for way in (0, 1):
         left = np.flatnonzero(~point.valid)
         if len(left):

@@ -4,7 +4,7 @@ import asyncio
 import html
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import ipywidgets
 import numpy as np
@@ -27,6 +27,7 @@ HELP = (
 )
 
 
+@runtime_checkable
 class Explored(Protocol):
     """What is shown: an `Explorer`."""
 

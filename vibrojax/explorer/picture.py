@@ -27,7 +27,7 @@ from vibrojax.plot.style import COLORS, GREY, MARKERS
 SIZE, DPI = (11.0, 5.2), 100
 LABEL, SMALL = 12, 10
 SHADES = 24
-"""Of a colour, down to white: more would be too near to white to be told from it."""
+"""Of a colour, down to white: more would look white."""
 PLACES = 25
 """Frequencies at which a sweep has its marker."""
 BRANCH, ORBIT = "black", "#8a2be2"

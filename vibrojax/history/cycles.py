@@ -138,31 +138,31 @@ class Cycles:
         def each(read: Any) -> Float[np.ndarray, " bins"]:
             return np.array([read(group) if group.size else np.nan for group in groups], float)
 
-        def told(long_name: str, units: str = "1") -> dict[str, str]:
+        def described(long_name: str, units: str = "1") -> dict[str, str]:
             return {"units": units, "long_name": long_name}
 
         length = self.drive_periods
-        data: dict[str, Any] = {"count": ([len(g) for g in groups], told("Cycles"))}
+        data: dict[str, Any] = {"count": ([len(g) for g in groups], described("Cycles"))}
         for name, read in (
             ("median", np.median),
             ("mean", np.mean),
             ("standard_deviation", np.std),
         ):
             words = f"{name.replace('_', ' ').capitalize()} of the cycle length in drive periods"
-            data[name] = each(lambda g, read=read: read(length[g])), told(words)
+            data[name] = each(lambda g, read=read: read(length[g])), described(words)
         for order, within in share_of.items():
             share = each(lambda g, n=order, w=within: np.mean(np.abs(length[g] - n) <= w))
             words = f"Share of cycles within {within:g} of {order} drive periods"
-            data[f"share_of_{order}"] = share, told(words)
+            data[f"share_of_{order}"] = share, described(words)
         for name, values in self.largest.items():
             units, label = unit_and_label(name)
             most = each(lambda g, values=values: np.max(values[g]))
-            data[f"largest_{name}"] = most, told(f"Largest {label.lower()}", units)
+            data[f"largest_{name}"] = most, described(f"Largest {label.lower()}", units)
         hertz = {"frequency": (bounds[1:] + bounds[:-1]) / 2}
         hertz |= {"lower_edge": bounds[:-1], "upper_edge": bounds[1:]}
         names = ("Drive frequency", "Lower edge of the bin", "Upper edge of the bin")
         coordinates = {
-            name: ("frequency", values, told(words, "Hz"))
+            name: ("frequency", values, described(words, "Hz"))
             for (name, values), words in zip(hertz.items(), names, strict=True)
         }
         return xarray.Dataset(
@@ -185,7 +185,7 @@ class Cycles:
         import xarray
 
         units, label = unit_and_label(self.quantity)
-        told = {
+        described = {
             "start": ("s", "Start of the cycle"),
             "length": ("s", "Length of the cycle"),
             "drive_periods": VARIABLES["drive_periods"],
@@ -193,13 +193,13 @@ class Cycles:
             "peak_to_peak": (units, f"{label}, peak to peak"),
             "history": ("1", "History, from 1"),
         }
-        columns = {name: getattr(self, name) for name in told}
+        columns = {name: getattr(self, name) for name in described}
         for name, values in self.largest.items():
             units, label = unit_and_label(name)
-            told[f"largest_{name}"] = units, f"Largest {label.lower()} of the cycle"
+            described[f"largest_{name}"] = units, f"Largest {label.lower()} of the cycle"
             columns[f"largest_{name}"] = values
         data = {
-            name: ("cycle", values, dict(zip(("units", "long_name"), told[name], strict=True)))
+            name: ("cycle", values, dict(zip(("units", "long_name"), described[name], strict=True)))
             for name, values in columns.items()
         }
         cycle = np.arange(1, len(self) + 1)

@@ -133,7 +133,7 @@ class History(SampledMotion):
         Parameters:
             quantity, position: as for `quantity`; one place.
             start: time from which on the record counts, s.
-            window: a name that `scipy.signal.get_window` knows. `hann` tells lines apart, `flattop`
+            window: a name that `scipy.signal.get_window` knows. `hann` separates lines, `flattop`
                 reads amplitudes best, `boxcar` is exact over whole periods and for transients that
                 die out within the segment.
             segment: length of the segments whose powers are averaged, s. None: one segment, all of

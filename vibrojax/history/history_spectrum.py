@@ -62,7 +62,7 @@ def spectrum_of_history(
             watched = "strain_energy" if quantity == STRAIN_POWER else quantity
             moved, _, pushed = observable_motion(history, watched)
         moved, pushed = np.asarray(moved)[inside], np.asarray(pushed)[inside]
-        # A force has no derivative to tell folded lines by: the motion it causes has.
+        # A force has no derivative that shows folded lines: the motion it causes has.
         share = folded_share(pushed if is_force else values, moved, pushed, rate)
         if share > FOLDED:
             raise ValueError(

@@ -61,7 +61,7 @@ class PoincareSection:
         columns = {"time": self.time, "drive_phase": self.drive_phase} | self.values
         data = {}
         for name, values in columns.items():
-            units, label = _told(name)
+            units, label = _unit_and_label(name)
             data[name] = ("point", values, {"units": units, "long_name": label})
         attributes: dict[str, Any] = {"section": self.title, "quantity": self.quantity}
         number = ("point", np.arange(1, len(self) + 1), described_as("point"))
@@ -91,7 +91,7 @@ class PoincareSection:
         columns = {"time": self.time, "drive_phase": self.drive_phase} | self.values
         if name not in columns:
             raise ValueError(f"Unknown variable {name!r}. {nearest(name, columns)}")
-        units, label = _told(name)
+        units, label = _unit_and_label(name)
         return columns[name], f"{label} ({units})"
 
     def __repr__(self) -> str:
@@ -104,7 +104,7 @@ def rate_name(quantity: str) -> str:
     return named.get(quantity, f"{quantity}_rate")
 
 
-def _told(name: str) -> tuple[str, str]:
+def _unit_and_label(name: str) -> tuple[str, str]:
     if name == "time":
         return "s", "Time"
     if name.endswith("_rate"):

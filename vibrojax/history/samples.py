@@ -40,7 +40,7 @@ class SampledMotion(eqx.Module):
         return jnp.concatenate([self.coordinates, self.rates, self.memory], axis=-1)
 
     def shape_at(self, position: ArrayLike | None) -> Float[Array, " coordinates"]:
-        """Displacement at a place x/L by coordinate; None: of the reported displacement."""
+        """Displacement by coordinate at the place `position` = x/L; None: the one reported."""
         linear = self.motion.equations.linear
         if position is None and linear is not None:
             return linear.response_map

@@ -181,7 +181,7 @@ def parameter_map(
         return _dataset(place, list(template.variables), in_memory=True)
     place = os.fspath(store)
     with opened(place, spec, settings, maker, chunk_lanes) as ready:
-        for sentence in ready.told:
+        for sentence in ready.warnings:
             warn(sentence)
         _tell_unread(spec)
         if ready.store is not None:
@@ -194,7 +194,7 @@ def parameter_map(
 
 
 def _tell_unread(spec: MapSpec) -> None:
-    """Warn of what a store cannot tell apart."""
+    """Warn of what a store cannot identify."""
     unread = unread_of(spec)
     if unread:
         warn(

@@ -14,6 +14,7 @@ from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.model.states import as_state
 from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.regime.bifurcation_result import BifurcationDiagram
+from vibrojax.regime.poincare_map import PoincareMap
 from vibrojax.regime.regime_points import carried_points, regime_plan
 from vibrojax.regime.regimes import (
     attributes_of,
@@ -22,7 +23,6 @@ from vibrojax.regime.regimes import (
     regime_method,
     start_states,
 )
-from vibrojax.regime.strobing import Strober
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.sweep.swept_lanes import rigs_of
 
@@ -92,15 +92,15 @@ def bifurcation_diagram(
     paths = _lanes_along(lanes, axis, grid, along)
     chosen = regime_method(lanes.sample, axis, method, step_tolerance, steps_per_period)
     state = _first_state(lanes.sample, start)
-    strober = Strober.of(chosen, rigs_of(lanes.systems))
+    poincare = PoincareMap.of(chosen, rigs_of(lanes.systems))
     ways = DIRECTIONS[direction]
     count = len(paths.rig)
     rig = np.repeat(paths.rig, len(ways), axis=0)
-    angular = np.repeat(paths.frequency, len(ways), axis=0) * frequency_unit(strober, axis)[rig]
+    angular = np.repeat(paths.frequency, len(ways), axis=0) * frequency_unit(poincare, axis)[rig]
     backward = np.tile([way == "backward" for way in ways], count)
     with progress_bar("bifurcation diagram", rig.size, progress) as bar:
         begin = np.repeat(state, len(rig), axis=0)
-        found = carried_points(strober, rig, angular, backward, begin, plan, bar.update)
+        found = carried_points(poincare, rig, angular, backward, begin, plan, bar.update)
     del found["state"]
     shape = (*(len(v) for v in paths.axes.values()), len(ways))
     _, ratio_units = lanes.sample.drive.reference

@@ -233,7 +233,7 @@ def _by_balance(system, value, is_ratio, period, state, samples, harmonics, exac
     depth, _, _ = sampled_motion(frozen(path), frozen(value), start, period, exact)
     spectrum, converged = solve_balance(place, still, depth, samples, period, harmonics)
     reading = read_balanced(place, spectrum, period)
-    # Next to an undamped resonance the samples do not tell the motion.
+    # Next to an undamped resonance the samples do not determine the motion.
     converged = converged & (reading.residual < MOST_RESIDUAL)
     return reading_of(
         system,

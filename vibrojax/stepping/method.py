@@ -121,7 +121,7 @@ class AbstractMethod(diffrax.AbstractSolver[Any]):
     def steps(self, motion: Motion) -> int:
         """Return how many equal steps to take in a drive period, for diffrax.
 
-        Raises `ValueError` when that hangs on numbers that JAX is tracing.
+        Raises `ValueError` when that depends on numbers that JAX is tracing.
 
         `motion` holds equations, drive and waveform.
         """
@@ -268,7 +268,7 @@ class ExactContact(AbstractMethod):
         )
 
     def steps(self, motion: Motion) -> int:
-        """As many as the march would take; 64 when that hangs on numbers that JAX is tracing."""
+        """As many as the march would take; 64 when that depends on numbers that JAX is tracing."""
         if self.steps_per_period is not None:
             return self.steps_per_period
         _, rate, _ = motion.waveform.phase(jnp.zeros(()))
@@ -362,7 +362,7 @@ class ExponentialSplitting(AbstractMethod):
         steps = concrete(_splitting_steps(linear, rate, jnp.asarray(self.tolerance)))
         if steps is None:
             raise ValueError(
-                "The number of steps hangs on values that JAX is tracing: give the solver, as "
+                "The number of steps depends on values that JAX is tracing: give the solver, as "
                 "ExponentialSplitting(steps_per_period=...)."
             )
         return int(steps)
