@@ -11,19 +11,19 @@ REFERENCES = {
     "modes": (
         "First eight modes",
         "`modes.json`: 50-digit power series (mpmath), checked with finite elements. "
-        "Held in CI by `pytest tests/test_modes.py`.",
+        "Held in CI by `pytest tests/model/test_modes.py`.",
     ),
     "modes_12": (
         "First twelve modes",
         "`modes_12.json`: 70-digit power series (mpmath). "
-        "Held in CI by `pytest tests/test_modes.py`.",
+        "Held in CI by `pytest tests/model/test_modes.py`.",
     ),
     "in_contact": (
         "First frequency with the stop in contact, both formulations",
-        "`tests/finite_element_beam.py`: quintic finite elements in numpy, unreduced, with the "
-        "spring of the default rig's stop (5500 N/m at mid-span) fixed to the beam. The "
+        "`tests/model/finite_element_beam.py`: quintic finite elements in numpy, unreduced, with "
+        "the spring of the default rig's stop (5500 N/m at mid-span) fixed to the beam. The "
         "formulation as printed leaves the tip mass out of modal mass and participation. "
-        "Modes and these elements are held to each other by `pytest tests/test_modes.py`.",
+        "Modes and these elements are held to each other by `pytest tests/model/test_modes.py`.",
     ),
     "sweeps": (
         "Settled sweeps, default settings",
@@ -31,39 +31,40 @@ REFERENCES = {
         "least 0.5 % away from a jump, both directions. C is the consistent formulation, P that "
         "of the paper as printed. Of another period: several motions coexist, and the march came "
         "to another one than the reference. "
-        "Held by `pytest -m slow tests/test_frequency_sweep.py`.",
+        "Held by `pytest -m slow tests/sweep/test_frequency_sweep.py`.",
     ),
     "folds": (
         "Jumps as folds of branches",
         "Jumps of `sweeps.json`, refined there by bisection, beside the folds that continuation "
-        "finds. Held by `pytest -m slow tests/test_branch_references.py`.",
+        "finds. Held by `pytest -m slow tests/branches/test_branch_references.py`.",
     ),
     "single_contact": (
         "Steady states and Floquet multipliers",
         "`single_contact.json`: stable motions with one contact per drive period, each solved by "
         "`vj.periodic_response` from the listed state. "
-        "Held by `pytest tests/test_periodic_response.py tests/test_single_contact.py`.",
+        "Held by `pytest tests/steady/test_periodic_response.py "
+        "tests/steady/test_single_contact.py`.",
     ),
     "gradients": (
         "Derivatives of a steady state",
         "`gradients.json`: implicit differentiation in numpy, one rig with six modes. "
-        "Held by `pytest -m long tests/test_periodic_response.py`.",
+        "Held by `pytest -m long tests/steady/test_periodic_response.py`.",
     ),
     "soft_support": (
         "Releases onto a soft support",
         "`soft_support.json`: exact event-driven propagation in numpy; its peaks are read off a "
-        "fine grid and so are never too high. Held by `pytest tests/test_contacts.py`.",
+        "fine grid and so are never too high. Held by `pytest tests/history/test_contacts.py`.",
     ),
     "pendulum": (
         "Elastic pendulum, 17 links",
         "`pendulum.json`: an independent program in numpy and scipy (Radau). "
-        "Held by `pytest -m 'not long' tests/test_elastic_pendulum.py "
-        "tests/test_linearly_implicit.py`.",
+        "Held by `pytest -m 'not long' tests/model/test_elastic_pendulum.py "
+        "tests/stepping/test_linearly_implicit.py`.",
     ),
     "conservation": (
         "Elastic pendulum without damping and limiters",
         "`pendulum.json`; here stepped by `diffrax.Dopri8`. "
-        "Held by `pytest -m slow tests/test_elastic_pendulum.py`.",
+        "Held by `pytest -m slow tests/model/test_elastic_pendulum.py`.",
     ),
 }
 """Tables of docs/validation.json in the order of the page: title, and where they come from."""

@@ -2,7 +2,6 @@
 
 import gc
 import os
-import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,8 +19,6 @@ from jaxtyping import install_import_hook  # noqa: E402
 
 # Before anything imports vibrojax, so that all of it is checked.
 _hook = install_import_hook("vibrojax", "beartype.beartype")
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # exact_propagation, the oracle
 
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402

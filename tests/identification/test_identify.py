@@ -1,0 +1,364 @@
+"""Identification from measured curves: recovery, uncertainty, and what it says of poor data."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import optax
+import pytest
+
+import vibrojax as vj
+from vibrojax.identification.coordinates import coordinate_of
+from vibrojax.identification.curve_misfit import CurveMisfit
+from vibrojax.identification.findings import modes_left_out
+from vibrojax.identification.least_squares import LevenbergMarquardt
+from vibrojax.identification.uncertainty import influence, uncertainty
+
+DATA = Path(__file__).parents[1] / "data"
+SWEEPS = json.loads((DATA / "sweeps.json").read_text())["cases"]
+GUESS = dict(stiffness=3000.0, damping=1e-4)
+
+
+def listed(name):
+    """A sweep of the independent reference, both ways."""
+    case = SWEEPS[name]
+    ratio = np.concatenate([case[way]["ratio"] for way in ("forward", "backward")])
+    amplitude = np.concatenate([case[way]["half_pp_ratio"] for way in ("forward", "backward")])
+    count = len(case["forward"]["ratio"])
+    direction = np.repeat([1, -1], [count, len(ratio) - count])
+    return ratio, amplitude, direction
+
+
+def measured(seed=0, *, name, noise=0.02, **facts):
+    """The sweep with noise."""
+    ratio, amplitude, direction = listed(name)
+    deviation = np.hypot(noise * amplitude, 0.05)
+    scatter = deviation * np.random.default_rng(seed).standard_normal(ratio.size)
+    return vj.MeasuredCurve(
+        ratio,
+        "frequency_ratio",
+        amplitude=np.abs(amplitude + scatter),
+        amplitude_deviation=deviation,
+        direction=direction,
+        **facts,
+    )
+
+
+@pytest.fixture(scope="module")
+def name():
+    """The reference case with the default rig."""
+    for name, case in SWEEPS.items():
+        p = case["parameters"]
+        if p["mr"] == p["mu"] == 0.5 and p["variant"] == "consistent" and p["lam"] == 0.4e-3:
+            return name
+    raise AssertionError("no reference case with the default rig")
+
+
+@pytest.fixture(scope="module")
+def make(rig):
+    def make(stiffness=5500.0, damping=5e-5, gap=0.4e-3):
+        return rig(stiffness=stiffness, damping=damping, gap=gap)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def fit(make, name):
+    return vj.identify(make, measured(name=name), GUESS)
+
+
+def test_recovers_the_stiffness_and_bounds_the_damping(fit):
+    low, high = fit.interval["stiffness"]
+    assert low < 5500 < high
+    assert fit.estimate["stiffness"] == pytest.approx(5500, rel=0.04)
+    assert fit.identifiability["stiffness"] == "identifiable"
+    # 5e-5 N s/m cannot be seen in an amplitude curve: a bound, not a number.
+    assert fit.identifiability["damping"].startswith("not identifiable")
+    assert not fit.identifiable["damping"]
+    assert fit.interval["damping"][0] == 0.0
+    assert 5e-5 < fit.interval["damping"][1] <= 1.0
+    assert 0.6 < fit.reduced_chi_square < 1.3
+    assert fit.warnings == ()
+
+
+@pytest.mark.slow
+@pytest.mark.long  # minutes
+def test_poor_guesses_end_in_the_same_place(make, name, fit):
+    for stiffness, damping in ((500.0, 10.0), (50000.0, 1e-6)):
+        other = vj.identify(make, measured(name=name), dict(stiffness=stiffness, damping=damping))
+        assert other.estimate["stiffness"] == pytest.approx(fit.estimate["stiffness"], rel=0.01)
+
+
+def test_repetitions_side_by_side_are_what_they_are_alone(make, name, fit):
+    together = vj.identify_each(make, [measured(1, name=name), measured(0, name=name)], GUESS)
+    assert len(together) == 2
+    alone = fit.estimate["stiffness"]
+    # Searches end within a hundredth of a standard deviation.
+    near = 0.05 * fit.standard_deviation["stiffness"]
+    assert together[1].estimate["stiffness"] == pytest.approx(alone, abs=near)
+    assert together[0].estimate["stiffness"] != pytest.approx(alone, abs=near)
+
+
+def test_residuals_are_distances_over_the_deviation(fit):
+    both = np.concatenate([fit.residuals("forward"), fit.residuals("backward")])
+    assert both.size == fit.measured[0].size
+    assert np.sum(both**2) == pytest.approx(fit.chi_square, rel=1e-9)
+    assert 0.3 < np.mean(both > 0) < 0.7
+    with pytest.raises(ValueError, match="forward"):
+        fit.residuals("up")
+
+
+def test_the_derivative_of_the_misfit(make, name):
+    data = measured(name=name)
+    misfit = CurveMisfit(make, ("stiffness", "damping"), {}, {}, [data])
+    which = np.zeros(1, int)
+
+    def squares(numbers):
+        residual, _ = misfit.residuals(numbers[None], which, 0.001, precisely=True)
+        return float(np.sum(residual**2))
+
+    at = np.array([5300.0, 0.05])
+    residual, derivative = misfit.residuals(at[None], which, 0.001, precisely=True)
+    slope = 2 * residual[0] @ derivative[0]
+    for k, step in enumerate((2.5, 5e-4)):
+        way = np.eye(2)[k] * step
+
+        def central(h, way=way, step=step):
+            return (squares(at + h * way) - squares(at - h * way)) / (2 * h * step)
+
+        richardson = (4 * central(1.0) - central(2.0)) / 3
+        assert slope[k] == pytest.approx(richardson, rel=1e-6, abs=1e-6)
+    extreme = np.array([[1e-3, 0.0], [1e8, 1e3], [np.nan, 1.0]])
+    residual, derivative = misfit.residuals(extreme, np.zeros(3, int), 0.005)
+    assert np.isfinite(residual).all()
+    assert np.isfinite(derivative).all()
+
+
+def test_an_early_jump_biases_nothing_and_is_named(make, name):
+    data = measured(3, name=name)
+    amplitude = data.amplitude.copy()
+    forward = np.flatnonzero(data.direction == 1)
+    jump = next(j for j in data.jumps() if j.direction == 1)
+    last = int(np.flatnonzero(forward == jump.at)[0])
+    backward = {
+        r: a
+        for r, a, d in zip(data.frequency, data.amplitude, data.direction, strict=True)
+        if d == -1
+    }
+    for k in forward[last - 3 : last]:
+        amplitude[k] = backward[data.frequency[k]]
+    deviation = np.hypot(0.02 * amplitude, 0.05)
+    early = vj.MeasuredCurve(
+        data.frequency,
+        "frequency_ratio",
+        amplitude=amplitude,
+        amplitude_deviation=deviation,
+        direction=data.direction,
+    )
+    fit = vj.identify(make, early, GUESS)
+    assert fit.estimate["stiffness"] == pytest.approx(5500, rel=0.06)
+    low, high = fit.interval["stiffness"]
+    assert low < 5500 < high
+    assert any("forward sweep jumped early" in w for w in fit.warnings)
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_gap_too(make, name):
+    fit = vj.identify(make, measured(4, name=name), GUESS | dict(gap=0.7e-3))
+    assert fit.estimate["gap"] == pytest.approx(0.4e-3, rel=0.01)
+    assert fit.estimate["stiffness"] == pytest.approx(5500, rel=0.04)
+    assert any("gap of" in n for n in fit.notes)
+    profile = fit.profile("gap")
+    assert profile.interval[0] < 0.4e-3 < profile.interval[1]
+    np.testing.assert_allclose(profile.interval, fit.interval["gap"], rtol=0.005)
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_a_wrong_model_is_noticed(rig, name):
+    def printed(stiffness=5500.0, damping=5e-5):
+        return rig(stiffness=stiffness, damping=damping, formulation="as_printed")
+
+    fit = vj.identify(printed, measured(5, name=name), GUESS)
+    assert fit.reduced_chi_square > 10
+    assert any("does not explain" in w for w in fit.warnings)
+    assert any("same sign" in w for w in fit.warnings)
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_shared_and_private_numbers(make, name):
+    curves = [measured(6, name=name, label="a"), measured(7, name=name, label="b")]
+    fit = vj.identify(make, curves, GUESS | dict(gap=0.4e-3), private=("gap",))
+    assert fit.names == ("stiffness", "damping", "gap[a]", "gap[b]")
+    for label in "ab":
+        assert fit.estimate[f"gap[{label}]"] == pytest.approx(0.4e-3, rel=0.01)
+    one = vj.identify(make, curves[0], GUESS | dict(gap=0.4e-3))
+    assert fit.standard_deviation["stiffness"] < 0.9 * one.standard_deviation["stiffness"]
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_posterior_agrees_with_the_interval(make, name):
+    pytest.importorskip("blackjax")
+    strong = vj.frequency_sweep(make(damping=2.0), frequency_ratio=np.linspace(0.85, 1.31, 50))
+    data = vj.read_measured_curve(strong.to_xarray())
+    deviation = np.hypot(0.02 * data.amplitude, 0.05)
+    scatter = deviation * np.random.default_rng(1).standard_normal(data.size)
+    noisy = vj.MeasuredCurve(
+        data.frequency,
+        "frequency_ratio",
+        amplitude=data.amplitude + scatter,
+        amplitude_deviation=deviation,
+        direction=data.direction,
+    )
+    fit = vj.identify(make, noisy, GUESS)
+    assert fit.interval["damping"][0] > 0
+    assert fit.interval["damping"][0] < 2.0 < fit.interval["damping"][1]
+    posterior = fit.sample(2000)
+    assert posterior.effective_size > 50
+    for n in fit.names:
+        width = fit.interval[n][1] - fit.interval[n][0]
+        np.testing.assert_allclose(posterior.interval[n], fit.interval[n], atol=0.25 * width)
+    told = fit.what_next("damping", gap=[0.3e-3, 0.5e-3])
+    assert told.best.deviation < 0.9
+    assert {c.changes["gap"] for c in told.candidates} == {0.3e-3, 0.5e-3}
+    with pytest.raises(ValueError, match="what is fitted"):
+        fit.what_next("damping", stiffness=[1e3])
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_optax_and_the_other_objectives(make, name, fit):
+    adam = vj.identify(
+        make,
+        measured(name=name),
+        dict(stiffness=5000.0),
+        search=vj.Optax(optax.adam(0.02), steps=60),
+    )
+    assert adam.estimate["stiffness"] == pytest.approx(fit.estimate["stiffness"], rel=0.01)
+    for objective in ("pointwise", "folds"):
+        other = vj.identify(make, measured(name=name), GUESS, objective=objective)
+        assert other.estimate["stiffness"] == pytest.approx(5500, rel=0.04)
+
+
+def test_what_it_refuses(make, name):
+    data = measured(name=name)
+    with pytest.raises(ValueError, match="Did you mean 'stiffness'"):
+        vj.identify(make, data, dict(stifness=3000.0))
+    with pytest.raises(ValueError, match="outside its bounds"):
+        vj.identify(make, data, GUESS, bounds=dict(stiffness=(1e4, 1e5)))
+    with pytest.raises(ValueError, match="both fitted"):
+        vj.identify(make, data, GUESS, stiffness=5500.0)
+    with pytest.raises(ValueError, match="fewer measured points"):
+        vj.identify(
+            make,
+            vj.MeasuredCurve(np.array([1.0]), "frequency_ratio", amplitude=np.array([9.0])),
+            GUESS,
+        )
+    hertz = vj.MeasuredCurve(
+        data.frequency * 1e4, "frequency", amplitude=data.amplitude, direction=data.direction
+    )
+    with pytest.raises(ValueError, match="do not overlap"):
+        vj.identify(make, hertz, GUESS)
+    with pytest.raises(ValueError, match="at least one number"):
+        vj.identify(make, data, {})
+
+
+def test_a_curve_without_contact_is_refused(make):
+    free = vj.continue_response(make(gap=0.4e-3), frequency_ratio=(0.3, 0.5))
+    assert free.contact_force.max() == 0
+    ratio = np.linspace(0.3, 0.5, 20)
+    data = vj.MeasuredCurve(
+        ratio,
+        "frequency_ratio",
+        amplitude=np.interp(ratio, free.values, free.amplitude_ratio),
+        amplitude_deviation=np.array([0.05]),
+        direction=np.ones(20, int),
+    )
+    with pytest.raises(ValueError, match="never touches the stop"):
+        vj.identify(make, data, GUESS)
+
+
+def test_a_report_and_a_dataset(fit, tmp_path):
+    report, picture = fit.save(tmp_path / "fit")
+    told = json.loads(report.read_text())
+    assert told["parameters"]["stiffness"]["estimate"] == fit.estimate["stiffness"]
+    assert told["parameters"]["damping"]["identifiability"].startswith("not identifiable")
+    assert picture.stat().st_size > 10_000
+    data = fit.to_xarray()
+    assert data.estimate.sel(parameter="stiffness") == fit.estimate["stiffness"]
+    assert data.influence.sizes == {"point": fit.measured[0].size, "parameter": 2}
+    data.to_netcdf(tmp_path / "fit.nc", engine="h5netcdf")
+
+
+# The parts
+
+
+def test_modes_left_out_are_named(rig):
+    """One mode fitted to a motion of five gives 2039 N/m for 5500; no misfit shows it."""
+    (said,) = modes_left_out(rig(num_modes=1, stiffness=2039.0), 20.0)
+    assert "num_modes=1" in said
+    shift = float(re.search(r"by about ([\d.e+]+) N/m", said).group(1))
+    assert 2039 + shift == pytest.approx(5500, rel=0.1)
+    assert modes_left_out(rig(), 75.0) == []
+
+
+def test_coordinates_hold_their_bounds():
+    stiffness = coordinate_of("stiffness", "stiffness", 3000.0, (100.0, 1e5), None)
+    assert stiffness.kind == "log"
+    np.testing.assert_allclose(stiffness.number(np.array(stiffness.limits)), [100.0, 1e5])
+    damping = coordinate_of("damping", "damping", 0.0, None, None)
+    assert damping.kind == "asinh"
+    assert damping.limits[0] == 0.0
+    assert coordinate_of("damping_ratio", "damping_ratio", 0.01, None, None).kind == "log"
+    assert coordinate_of("offset", "offset", -1.0, None, None).kind == "linear"
+    for c, u in ((stiffness, 8.0), (damping, 0.7)):
+        slope = (c.number(u + 1e-6) - c.number(u - 1e-6)) / 2e-6
+        assert float(c.slope(u)) == pytest.approx(float(slope), rel=1e-8)
+
+
+def test_least_squares_stays_within_bounds():
+    """Rosenbrock's valley from two starts, its minimum (1, 1) cut off for one run."""
+
+    def valley(points, lanes):
+        x, y = points.T
+        one, zero = np.ones_like(x), np.zeros_like(x)
+        residual = np.stack([10 * (y - x**2), 1 - x], axis=1)
+        rows = [np.stack([-20 * x, 10 * one], 1), np.stack([-one, zero], 1)]
+        return residual, np.stack(rows, axis=1)
+
+    start = np.array([[-1.2, 1.0], [3.0, 3.0]])
+    everywhere = np.full(2, np.inf)
+    found = LevenbergMarquardt()(valley, start, -everywhere, everywhere, 1e-10)
+    np.testing.assert_allclose(found.point, 1.0, atol=1e-4)
+    assert found.converged.all()
+    found = LevenbergMarquardt()(valley, start, -everywhere, np.array([0.5, 9.0]), 1e-8)
+    np.testing.assert_allclose(found.point, [[0.5, 0.25]] * 2, atol=1e-3)
+
+
+def test_uncertainty_of_a_straight_line():
+    """Against the closed form; what the data do not depend on is said not to be known."""
+    rng = np.random.default_rng(0)
+    x = np.linspace(-1, 1, 40)
+    jacobian = -np.stack([np.ones_like(x), x, np.zeros_like(x)], axis=1)
+    residual = rng.standard_normal(40)
+    point = np.linalg.lstsq(jacobian[:, :2], -residual, rcond=None)[0]
+    residual = residual + jacobian[:, :2] @ point
+    coordinates = tuple(
+        coordinate_of(n, n, 1.0, None, "linear") for n in ("level", "slope", "nothing")
+    )
+    known = uncertainty(residual, jacobian, np.zeros(3), coordinates, 37, 0.95)
+    excess = max(1.0, residual @ residual / 37)
+    np.testing.assert_allclose(
+        known.deviation[:2], np.sqrt(excess * np.array([1 / 40, 1 / np.sum(x**2)])), rtol=1e-9
+    )
+    assert known.identifiable == (True, True, False)
+    assert "do not depend" in known.identifiability[2]
+    moved = influence(residual, jacobian[:, :2], 1)
+    left = np.delete(np.arange(40), 7)
+    again = np.linalg.lstsq(jacobian[left, :2], -residual[left], rcond=None)[0]
+    deviation = np.sqrt([1 / 40, 1 / np.sum(x**2)])
+    np.testing.assert_allclose(np.abs(moved[7]), np.abs(again) / deviation, rtol=1e-6)
