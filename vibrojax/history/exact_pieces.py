@@ -13,14 +13,26 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Complex, Float, Int, Shaped
 
-from vibrojax._tools.trigonometry import cosine
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.systems import Motion
-from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
+from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.stepping.cubic import Cubic, cubic_between
-from vibrojax.stepping.phase_motion import contact_indicator, driven_blocks, stop_push
+from vibrojax.stepping.phase_motion import (
+    OfStops,
+    PerLane,
+    Phase,
+    PhaseMotion,
+    begin_phase,
+    breach_of,
+    contact_indicator,
+    follow,
+    pushes_of,
+    read_stops,
+)
+
+Number = Float[Array, ""]
 
 MOST_ROUNDS = 64
 """Events within one sample interval before it is given up."""
@@ -51,18 +63,6 @@ class Pieces(NamedTuple):
     """(q, q') where the piece begins."""
 
 
-class PhaseMotion(NamedTuple):
-    """The motion of lanes in one phase, from where their pieces begin."""
-
-    blocks: Float[Array, "states lanes"]
-    """Block coordinates of the free part."""
-    steady: Complex[Array, "states lanes"]
-    driven: Complex[Array, "states lanes"]
-    """Input of blocks in resonance, which have no steady response."""
-    angle: Float[Array, " lanes"]
-    rate: Float[Array, " lanes"]
-
-
 def drives_of(motion: Motion, time: Float[np.ndarray, " samples"]) -> Drives:
     """Tabulate the drive of every interval."""
     angle, rate, amplitude = _drives(motion, jnp.asarray(time[:-1]), jnp.asarray(np.diff(time)))
@@ -72,103 +72,33 @@ def drives_of(motion: Motion, time: Float[np.ndarray, " samples"]) -> Drives:
 
 
 @eqx.filter_jit
-def _drives(motion, start, duration):
+def _drives(
+    motion: Motion, start: Float[Array, " intervals"], duration: Float[Array, " intervals"]
+) -> tuple[Float[Array, " intervals"], Float[Array, " intervals"], Complex[Array, " intervals"]]:
     angle, _, _ = motion.waveform.phase(start)
     _, rate, second = motion.waveform.phase(start + duration / 2)
     return angle, rate, motion.drive.complex_amplitude(rate, second)
 
 
-def begin_phase(phases, phase, state, angle, rate, amplitude) -> PhaseMotion:
-    """Put states (states, lanes) of one phase into block coordinates."""
-    steady = forced_blocks(phases, amplitude, rate)[phase]
-    driven = resonant_blocks(phases, amplitude, rate)[phase]
-    wave = steady.real * jnp.sin(angle) + steady.imag * jnp.cos(angle)
-    blocks = phases.from_state[phase] @ state - phases.rest[phase][:, None] - wave
-    return PhaseMotion(blocks, steady, driven, angle, rate)
-
-
-def follow(
-    phases: ContactPhases,
-    phase: Int[Array, ""],
-    motion: PhaseMotion,
-    time: Float[Array, "lanes *places"],
-) -> tuple[Float[Array, "states lanes *places"], ...]:
-    """Block coordinates and their first two derivatives, some time (s) into it."""
-    places = time.ndim - 1
-
-    def wide(a):
-        return a.reshape(a.shape + (1,) * places)
-
-    decay, turn = wide(phases.exponent[phase][..., None]), wide(phases.rate[phase][:, None])
-    blocks, steady, driven, begun, rate = map(wide, motion)
-    moved = driven_blocks(decay, turn, blocks, driven, begun, rate, time)
-
-    def derived(z):
-        first, second = jnp.split(z, 2)
-        along = decay[0] * first - turn * second
-        return jnp.concatenate([along, turn * first + decay[1] * second])
-
-    drive = begun + rate * time
-    sine, cosine_ = cosine(drive - np.pi / 2), cosine(drive)
-    rest = phases.rest[phase].reshape((-1,) + (1,) * time.ndim)
-    change = derived(moved) + driven.real * sine + driven.imag * cosine_
-    driven_change = rate * (driven.real * cosine_ - driven.imag * sine)
-    real, imag = steady.real * sine, steady.imag * sine
-    wave = real + steady.imag * cosine_
-    # d/dt of Im(Z exp(i angle)) is Im(i w Z exp(i angle)).
-    wave_change = rate * (steady.real * cosine_ - imag)
-    second_change = derived(change) + driven_change - rate**2 * wave
-    return moved + rest + wave, change + wave_change, second_change
-
-
-def read_stops(phases, phase, blocks):
-    """Depths of the stops, their rates and accelerations, from what `follow` returns."""
-    rows = phases.towards_stop @ phases.to_state[phase][: phases.num_blocks]
-    depth, rate, acceleration = (jnp.tensordot(rows, b, axes=1) for b in blocks)
-    return depth - _column(phases.gap, depth), rate, acceleration
-
-
-def _column(values, like):
-    return jnp.reshape(jnp.asarray(values), (-1,) + (1,) * (like.ndim - 1))
-
-
-def touching_bits(phases: ContactPhases, phase: Int[Array, ""]) -> Bool[Array, " stops"]:
-    """Which stops touch in a phase."""
-    return (phase >> jnp.arange(phases.num_stops)) & 1 == 1
-
-
-def _push(phases, unit_rate, depth, rate, acceleration):
-    """Force of a stop as a depth (m), and its rate; the depth itself where it may pull."""
-    return stop_push(
-        _column(phases.stiffness, depth),
-        _column(phases.damping, depth),
-        _column(np.asarray(phases.can_pull, bool), depth),
-        unit_rate,
-        depth,
-        rate,
-        acceleration,
-    )
-
-
-def _breach(phases, phase, unit_rate, stops_read):
-    """How far a stop is in the wrong phase (positive: it changes contact), and its rate."""
-    inside, inside_rate = _push(phases, unit_rate, *stops_read)
-    depth, rate, _ = stops_read
-    outside, outside_rate = contact_indicator(depth, rate, inside, inside_rate)
-    touches = _column(touching_bits(phases, phase), inside)
-    return jnp.where(touches, -inside, outside), jnp.where(touches, -inside_rate, outside_rate)
-
-
 @eqx.filter_jit
-def _starting_phase(phases, equations, states, drive_input, unit_rate, near):
+def _starting_phase(
+    phases: ContactPhases,
+    equations: LinearEquations,
+    states: Float[Array, "states samples"],
+    drive_input: Float[Array, " samples"],
+    unit_rate: Number,
+    near: Number,
+) -> Int[Array, " samples"]:
     """Phase of every sample: near zero depth the direction decides."""
     n = phases.num_blocks
     q, v = states[:n], states[n:]
     depth = phases.towards_stop @ q - phases.gap[:, None]
     rate = phases.towards_stop @ v
 
-    def indicator(acceleration):
-        return contact_indicator(depth, rate, *_push(phases, unit_rate, depth, rate, acceleration))
+    def indicator(acceleration: OfStops) -> tuple[OfStops, OfStops]:
+        return contact_indicator(
+            depth, rate, *pushes_of(phases, unit_rate, depth, rate, acceleration)
+        )
 
     value, _ = indicator(jnp.zeros_like(depth))
     force = phases.stiffness[:, None] * depth + phases.damping[:, None] * rate
@@ -182,15 +112,25 @@ def _starting_phase(phases, equations, states, drive_input, unit_rate, near):
 
 
 class _Cut(NamedTuple):
-    time: Array
+    time: PerLane
     """Where the piece ends, s after its start."""
-    stop: Array
+    stop: Int[Array, " lanes"]
     """Which stop changes its contact there; -1 for none."""
-    state: Array
+    state: Float[Array, "states lanes"]
 
 
 @eqx.filter_jit
-def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places):
+def _first_event(
+    phases: ContactPhases,
+    phase: Phase,
+    lanes: tuple[Array, ...],
+    length: PerLane,
+    last: Int[Array, " lanes"],
+    unit_rate: Number,
+    near: Number,
+    *,
+    places: int,
+) -> _Cut:
     """Find the first event of lanes in one phase within a time `length`."""
     motion = begin_phase(phases, phase, *lanes)
     if not phases.num_stops:
@@ -198,8 +138,8 @@ def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places)
     cell = length / places
     time = cell[:, None] * jnp.arange(places + 1)
 
-    def breach(time):
-        return _breach(
+    def breach(time: Float[Array, "lanes *places"]) -> tuple[OfStops, OfStops]:
+        return breach_of(
             phases, phase, unit_rate, read_stops(phases, phase, follow(phases, phase, motion, time))
         )
 
@@ -216,7 +156,7 @@ def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places)
     found = crossed | (height > near)
     first = jnp.argmax(jnp.any(found, axis=0), axis=-1)
 
-    def there(a):
+    def there(a: Shaped[Array, "stops lanes places"]) -> Shaped[Array, "stops lanes"]:
         return jnp.take_along_axis(a, first[None, :, None], axis=-1)[..., 0]
 
     crossed, top, found = map(there, (crossed, top, found))
@@ -228,20 +168,20 @@ def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places)
     guess = cubic.root(low, high)
     stop = jnp.argmin(jnp.where(found, guess, jnp.inf), axis=0)
 
-    def of_stop(a):
+    def of_stop(a: Shaped[Array, "stops lanes"]) -> Shaped[Array, " lanes"]:
         return jnp.take_along_axis(a, stop[None], axis=0)[0]
 
     hidden = ~of_stop(crossed)
     low, high, u, found = map(of_stop, (low, high, guess, found))
 
-    def exact(u):
+    def exact(u: PerLane) -> tuple[PerLane, PerLane]:
         value, slope = breach((first + u) * cell)
         return of_stop(value), of_stop(slope) * cell
 
     # A touch that only the cubic makes between two places: the piece is cut, nothing changes.
     missed = hidden & (exact(high)[0] <= 0)
 
-    def closer(_, carry):
+    def closer(_: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
         u, low, high = carry
         value, slope = exact(u)
         low, high = jnp.where(value > 0, low, u), jnp.where(value > 0, u, high)
@@ -257,7 +197,13 @@ def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places)
     return _cut(phases, phase, motion, end, jnp.where(now, jnp.argmax(at_once, axis=0), flips))
 
 
-def _cut(phases, phase, motion, end, stop):
+def _cut(
+    phases: ContactPhases,
+    phase: Phase,
+    motion: PhaseMotion,
+    end: PerLane,
+    stop: Int[Array, " lanes"],
+) -> _Cut:
     blocks, _, _ = follow(phases, phase, motion, end)
     return _Cut(end, stop, phases.to_state[phase] @ blocks)
 
@@ -306,15 +252,17 @@ def starting_phases(
     motion: Motion, time: Float[np.ndarray, " samples"], states: Float[np.ndarray, "samples states"]
 ) -> Int[np.ndarray, " samples"]:
     """Return the phase of every sample."""
-    phases, equations = motion.prepared, motion.equations
-    assert isinstance(equations, LinearEquations)
+    phases, equations = motion.prepared, motion.equations.linear
+    assert equations is not None
     drive_input = motion.drive.input(motion.waveform, jnp.asarray(time))
     unit_rate, near = _scales(phases, equations, states)
     columns = jnp.asarray(states.T)
     return np.asarray(_starting_phase(phases, equations, columns, drive_input, unit_rate, near))
 
 
-def _scales(phases, equations, states):
+def _scales(
+    phases: ContactPhases, equations: LinearEquations, states: Float[np.ndarray, "samples states"]
+) -> tuple[Number, Number]:
     unit_rate = equations.angular_frequency[0]
     q = states[:, : phases.num_blocks]
     reach = np.max(np.abs(q) @ np.abs(np.asarray(phases.towards_stop)).T, initial=0.0)
@@ -328,9 +276,10 @@ def exact_pieces(
 
     Raises `ValueError` when an interval holds more than `MOST_ROUNDS` events.
     """
-    phases, equations = motion.prepared, motion.equations
+    phases, equations = motion.prepared, motion.equations.linear
     duration, drives = np.diff(time), drives_of(motion, time)
     places = places_for(phases, float(np.max(duration)))
+    assert equations is not None
     unit_rate, near = _scales(phases, equations, states)
     begun = np.zeros(duration.size)
     phase = starting_phases(motion, time, states)[:-1]

@@ -323,7 +323,8 @@ def _crossing(before: _Place, after: _Place, h):
     straight = np.where(f0 > 0, 0.0, 1.0) - inside / np.where(slope == 0, 1.0, slope)
     cut = (f0 == 0) | (f1 == 0)
     u = np.clip(np.where(cut, straight, f0 / np.where(f0 == f1, 1.0, f0 - f1)), 0.0, 1.0)
-    return np.where(cut, u, cubic_between(f0, d0, f1, d1).root(guess=u, rounds=4, xp=np))
+    cubic = cubic_between(*map(jnp.asarray, (f0, d0, f1, d1)))
+    return np.where(cut, u, cubic.root(guess=jnp.asarray(u), rounds=4))
 
 
 def _linked(rows: dict[str, np.ndarray], total: int) -> Rows:

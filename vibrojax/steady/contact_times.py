@@ -7,12 +7,13 @@ corrected. Whether the motion keeps to its sequence (a virtual orbit does not) i
 is read.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
 
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
@@ -20,6 +21,9 @@ from vibrojax.stepping.forcing import steady_readout
 from vibrojax.stepping.phase_motion import driven_blocks, free_blocks, stop_push
 
 lax = jax.lax
+
+Phase = Int[ArrayLike, ""]
+Angle = Float[ArrayLike, ""]
 
 MOST_EVENTS = 16
 """Touches and departures in a motion: room for eight contacts."""
@@ -76,14 +80,16 @@ def tables_of(
     return Tables(phases, steady, driven, rows, angular_frequency)
 
 
-def forced(tables: Tables, phase, angle):
+def forced(tables: Tables, phase: Phase, angle: Angle) -> Float[Array, " states"]:
     """Block coordinates of rest and the steady response at a drive phase."""
     steady = tables.steady[phase]
     wave = jnp.sin(angle) * steady.real + jnp.cos(angle) * steady.imag
     return wave + tables.phases.rest[phase]
 
 
-def moved_on(tables: Tables, phase, blocks, begun, angle):
+def moved_on(
+    tables: Tables, phase: Phase, blocks: Float[Array, " states"], begun: Angle, angle: Angle
+) -> Float[Array, " states"]:
     """Advance block coordinates of a motion over a drive angle from the phase `begun`."""
     phases, w = tables.phases, tables.angular_frequency
     driven = None if tables.driven is None else tables.driven[phase]
@@ -91,12 +97,19 @@ def moved_on(tables: Tables, phase, blocks, begun, angle):
     return driven_blocks(decay, rate, blocks, driven, begun, w, angle / w)
 
 
-def _lateness(tables: Tables, phase, stop, moved, angle, with_slope: bool = False):
+def _lateness(
+    tables: Tables,
+    phase: Phase,
+    stop: Int[Array, ""],
+    moved: Float[Array, " states"],
+    angle: Angle,
+    with_slope: bool = False,
+) -> Float[Array, ""]:
     """First-order time (rad) by which the stop's change of contact comes later than the angle."""
     phases, stops = tables.phases, tables.phases.num_stops
     sine, cosine_ = jnp.sin(angle), jnp.cos(angle)
 
-    def read(row):
+    def read(row: Int[Array, ""]) -> Float[Array, ""]:
         steady = tables.rows[phase, row]
         forced = sine * steady.real + cosine_ * steady.imag
         return phases.readout[phase, row] @ moved + phases.readout_rest[phase, row] + forced
@@ -170,7 +183,7 @@ def follow_events(
         jnp.eye(orbit.state.size) if with_jacobian else None,
     )
 
-    def segment(j, carry):
+    def segment(j: Int[Array, ""], carry: tuple[Any, ...]) -> tuple[Any, ...]:
         state, phase, begun, times, phases_passed, blocks_passed, starts, ends, push = carry
         final = j >= room
         k = jnp.minimum(j, room - 1)
@@ -212,7 +225,14 @@ def follow_events(
     return PiecewiseMotion(end, times, passed, blocks, starts, ends, push)
 
 
-def _push(tables: Tables, phase, stop, used, matrix, angle):
+def _push(
+    tables: Tables,
+    phase: Phase,
+    stop: Int[Array, ""],
+    used: Bool[Array, ""],
+    matrix: Float[Array, "states states"],
+    angle: Angle,
+) -> Float[Array, "states states"]:
     """Carry the Jacobian through a phase and the change of contact at its end."""
     phases, n = tables.phases, tables.phases.num_blocks
     time = lax.stop_gradient(angle) / tables.angular_frequency
@@ -245,14 +265,16 @@ class Solved(NamedTuple):
     motion: PiecewiseMotion
 
 
-def null_vector(matrix: Float[Array, "rows rows"], slope: Float[Array, " rows"]) -> Array:
+def null_vector(
+    matrix: Float[Array, "rows rows"], slope: Float[Array, " rows"]
+) -> Float[Array, " unknowns"]:
     """Unit vector that the matrix, with the slope as one more column, maps to zero."""
     whole = jnp.concatenate([matrix, slope[:, None]], axis=1)
     return jnp.linalg.qr(whole.T, mode="complete")[0][:, -1]
 
 
 def solve_orbit(
-    tables_at,
+    tables_at: Callable[[Float[Array, ""]], Tables],
     events: Events,
     orbit: Orbit,
     parameter: Float[Array, ""],
@@ -275,15 +297,18 @@ def solve_orbit(
     energy = jnp.sqrt(jnp.sum(guess**2))
     size = lax.stop_gradient(jnp.where(energy > 0, energy, 1.0))
 
-    def image(p, x, times):
+    def image(
+        p: Float[Array, ""], x: Float[Array, " states"], times: Float[Array, " events"]
+    ) -> tuple[Float[Array, " states"], tuple[PiecewiseMotion, Float[Array, "states states"]]]:
         tables = tables_at(p)
         orbit = Orbit(x * (size / tables.phases.weight), times)
         motion = follow_events(tables, events, orbit, period, count, with_jacobian=True)
+        assert motion.jacobian is not None
         unit = lax.stop_gradient(tables.phases.weight)
         matrix = unit[:, None] * motion.jacobian / unit
         return motion.end * (tables.phases.weight / size), (motion, matrix)
 
-    def newton(carry, last):
+    def newton(carry: tuple[Any, ...], last: Bool[Array, ""]) -> tuple[tuple[Any, ...], None]:
         x, p, times, normal, _ = carry
         end, slope, (motion, matrix) = jax.jvp(
             lambda p: image(p, x, times), (p,), (jnp.ones_like(p),), has_aux=True

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax._tools.trigonometry import cosine
 from vibrojax.steady.contact_times import Events, PiecewiseMotion, Tables, forced, moved_on
@@ -13,6 +13,9 @@ from vibrojax.stepping.cubic import Cubic, cubic_between, cubic_maximum
 from vibrojax.stepping.phase_motion import driven_blocks, stop_push
 
 lax = jax.lax
+
+Rows = Float[Array, "rows places"]
+Segments = Int[Array, " places"]
 
 GRID = 128
 """Places per drive period at which a motion is looked at before its extremes are refined."""
@@ -44,7 +47,9 @@ class Reading(NamedTuple):
     """Their change per interval."""
 
 
-def look(tables: Tables, motion: PiecewiseMotion, segment, angle: Float[Array, " places"]):
+def look(
+    tables: Tables, motion: PiecewiseMotion, segment: Segments, angle: Float[Array, " places"]
+) -> Rows:
     """Rows (as of `ContactPhases.readout`) at some drive phases, each of a given segment."""
     phases, phase = tables.phases, motion.phase[segment]
     time = (angle - motion.start[segment]) / tables.angular_frequency
@@ -59,7 +64,7 @@ def look(tables: Tables, motion: PiecewiseMotion, segment, angle: Float[Array, "
     )
     sine, cosine_ = cosine(angle - np.pi / 2), cosine(angle)
 
-    def rows_of(p):
+    def rows_of(p: int) -> Rows:
         value = phases.readout[p] @ moved + phases.readout_rest[p][:, None]
         wave = tables.rows[p]
         return value + wave.real[:, None] * sine + wave.imag[:, None] * cosine_
@@ -70,7 +75,9 @@ def look(tables: Tables, motion: PiecewiseMotion, segment, angle: Float[Array, "
     return rows
 
 
-def _segment_of(motion: PiecewiseMotion, angle):
+def _segment_of(
+    motion: PiecewiseMotion, angle: Float[ArrayLike, "*places"]
+) -> Int[Array, "*places"]:
     found = jnp.searchsorted(motion.stop, angle, side="left")
     return jnp.minimum(found, motion.stop.size - 1)
 
@@ -116,7 +123,12 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
     fine_force = _force(tables, fine, held_there)
     step = 2 * width / (FINE - 1) / tables.angular_frequency
 
-    def top(values, slopes, row, mask=None):
+    def top(
+        values: Float[Array, " all_places"],
+        slopes: Float[Array, " all_places"],
+        row: int,
+        mask: Bool[Array, " all_places"] | None = None,
+    ) -> Float[Array, ""]:
         y, v = (a.reshape(len(centres), FINE)[row] for a in (values, slopes))
         best = cubic_maximum(y[:-1], v[:-1] * step, y[1:], v[1:] * step)
         if mask is not None:
@@ -159,21 +171,30 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
     )
 
 
-def _force(tables: Tables, rows, held):
+def _force(
+    tables: Tables, rows: Rows, held: Bool[Array, "stops places"]
+) -> Float[Array, "stops places"]:
     phases, stops = tables.phases, tables.phases.num_stops
     value = phases.stiffness[:, None] * rows[:stops]
     value = value + phases.damping[:, None] * rows[stops : 2 * stops]
     return jnp.where(held, value, 0.0)
 
 
-def state_in(tables: Tables, motion: PiecewiseMotion, segment, angle):
+def state_in(
+    tables: Tables,
+    motion: PiecewiseMotion,
+    segment: Int[ArrayLike, ""],
+    angle: Float[ArrayLike, ""],
+) -> Float[Array, " states"]:
     """State of a motion at a drive phase (rad) of a given segment."""
     phase, begun = motion.phase[segment], motion.start[segment]
     moved = moved_on(tables, phase, motion.blocks[:, segment], begun, angle - begun)
     return tables.phases.to_state[phase] @ (moved + forced(tables, phase, angle))
 
 
-def _breach(tables: Tables, stop: int, rows, touching):
+def _breach(
+    tables: Tables, stop: int, rows: Rows, touching: Bool[Array, " places"]
+) -> Float[Array, " places"]:
     """How far a place breaks its phase, m: positive where it should be in the other one."""
     phases, stops = tables.phases, tables.phases.num_stops
     depth = rows[stop]

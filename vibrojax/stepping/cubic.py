@@ -1,14 +1,11 @@
-"""The cubic through values and slopes at both ends of an interval, in arrays of JAX or of numpy."""
+"""The cubic through values and slopes at both ends of an interval, in arrays of JAX."""
 
-from types import ModuleType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._tools.types import AnyArray
-
-Values = Float[AnyArray, "..."]
+Values = Float[Array, "..."]
 Places = Float[ArrayLike, "..."]
 
 
@@ -46,19 +43,18 @@ class Cubic(NamedTuple):
         guess: Values | None = None,
         *,
         rounds: int = 8,
-        xp: ModuleType = jnp,
     ) -> Values:
         """Zero between two shares, at which the signs differ: Newton's method, safeguarded."""
         rises = self.at(low) <= 0
-        zero = xp.zeros_like(self.value)
+        zero = jnp.zeros_like(self.value)
         low, high = zero + low, zero + high
-        u: Any = (low + high) / 2 if guess is None else guess
+        u = (low + high) / 2 if guess is None else guess
         for _ in range(rounds):
             value, slope = self.at(u), self.slope_at(u)
             before = (value <= 0) == rises
-            low, high = xp.where(before, u, low), xp.where(before, high, u)
-            newton = u - value / xp.where(slope == 0, 1.0, slope)
-            u = xp.where((newton > low) & (newton < high), newton, (low + high) / 2)
+            low, high = jnp.where(before, u, low), jnp.where(before, high, u)
+            newton = u - value / jnp.where(slope == 0, 1.0, slope)
+            u = jnp.where((newton > low) & (newton < high), newton, (low + high) / 2)
         return u
 
 
