@@ -137,3 +137,9 @@ def problem():
 def rig_branch():
     """Branch of the default rig through both of its folds."""
     return vj.continue_response(make_rig(), frequency_ratio=(0.85, 1.31))
+
+
+@pytest.fixture(scope="session")
+def small_branch():
+    """Branch of the default rig with one mode: its folds are at 1.3813 and 1.0972."""
+    return vj.continue_response(make_rig(num_modes=1), frequency_ratio=(0.85, 1.4))

@@ -198,7 +198,6 @@ def test_oscillator(oscillator_branch):
     np.testing.assert_allclose(product[exact], np.exp(-0.1 * UNIT / w)[exact], rtol=1e-9)
 
 
-@pytest.mark.long
 def test_the_doubled_branch(oscillator, oscillator_branch):
     """Motions of period 2 leave at 0.9285; at 0.9275 they are stable."""
     doubled = oscillator_branch.switch(oscillator_branch.period_doublings.size - 1)

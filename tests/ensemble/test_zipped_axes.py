@@ -1,5 +1,6 @@
 """Numbers that go along one axis together, in every study over lists: as in maps."""
 
+import inspect
 import io
 from dataclasses import replace
 
@@ -187,7 +188,7 @@ def test_basins_of_a_group():
 )
 @pytest.mark.parametrize("study", [vj.frequency_sweep, vj.regimes, vj.bifurcation_diagram])
 def test_wrong_groups_are_refused_before_anything_runs(study, groups, axes, sentence):
-    study = getattr(study, "__wrapped__", study)  # without the check of types
+    study = inspect.unwrap(study)  # without the check of types
     with pytest.raises(ValueError, match=sentence):
         study(build, *groups, frequency_ratio=GRID, **axes)
 

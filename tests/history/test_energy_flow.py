@@ -43,7 +43,6 @@ def test_a_release_closes_to_rounding():
     assert (np.diff(energy.contact_loss, axis=0) > -1e-15).all()
 
 
-@pytest.mark.long
 @pytest.mark.slow
 def test_stops_that_let_go_and_several_of_them():
     laws = (vj.KelvinVoigt(22e3, c, t) for c, t in ((20.0, False), (5.0, True), (3.0, False)))

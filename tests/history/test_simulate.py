@@ -136,7 +136,9 @@ def test_spectrum_reads_the_amplitude_of_a_sine():
 
 
 def loss(x, **settings):
-    rig = vj.default_rig(gap=x[0] * 1e-3, stiffness=x[1] * 1e3, damping=x[2], taper=x[3])
+    rig = vj.default_rig(
+        gap=x[0] * 1e-3, stiffness=x[1] * 1e3, damping=x[2], taper=x[3], num_modes=1
+    )
     history = vj.simulate(rig, frequency_ratio=1.1, periods=2, samples_per_period=32, **settings)
     tip = history.displacement() * 1e3
     return jnp.mean(tip**2) + tip[-1]
@@ -152,7 +154,6 @@ def finite_differences(function, x, step=1e-6):
     return np.array([float(one(i)) for i in range(x.size)])
 
 
-@pytest.mark.long
 @pytest.mark.slow
 def test_gradients_of_a_history_match_finite_differences():
     expected = finite_differences(loss, POINT)
@@ -197,7 +198,6 @@ def test_reverse_mode_matches_forward_mode_where_intervals_take_many_attempts():
 
 
 @pytest.mark.slow
-@pytest.mark.long  # minutes
 def test_gradients_nest_with_vmap():
     points = POINT * jnp.array([[1.0, 1.0, 1.0, 1.0], [1.02, 0.97, 1.1, 0.9]])
     both = jax.vmap(jax.grad(loss))(points)
@@ -208,7 +208,6 @@ def test_gradients_nest_with_vmap():
 
 
 @pytest.mark.slow
-@pytest.mark.long  # to compile
 def test_gradient_of_splitting_matches_finite_differences():
     settings = {"solver": vj.ExponentialSplitting(steps_per_period=512)}
     gradient = jax.grad(lambda x: loss(x, **settings))(POINT)

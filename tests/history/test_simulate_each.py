@@ -40,7 +40,6 @@ def test_every_lane_is_that_of_a_single_call(make):
 
 
 @pytest.mark.slow
-@pytest.mark.long  # to compile
 def test_releases_and_frequencies_are_axes_too(make):
     free = vj.simulate_each(
         lambda gap: vj.ImpactingBeam(make().beam, make(gap).stops, num_modes=2),

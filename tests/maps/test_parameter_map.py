@@ -120,7 +120,6 @@ def test_a_map_is_made_again_from_its_attributes_alone(crossed):
 
 
 @pytest.mark.slow
-@pytest.mark.long  # to compile
 def test_one_frequency_is_no_axis():
     found = vj.parameter_map(
         rig, frequency_ratio=1.1, gap=GAPS, taper=0.5, response=vj.SettledSweep("forward")
@@ -148,8 +147,7 @@ def test_measures_of_ones_own():
     np.testing.assert_allclose(found.reach, wanted * rig().modes().frequency[0], rtol=1e-12)
 
 
-@pytest.mark.long
-@pytest.mark.slow  # compiles for each number of modes
+@pytest.mark.slow
 def test_texts_and_structure_as_axes():
     found = vj.parameter_map(
         rig,

@@ -66,8 +66,7 @@ def test_a_stored_map_is_not_computed_again(mapped):
     np.testing.assert_array_equal(again.lyapunov_exponent, found.lyapunov_exponent)
 
 
-@pytest.mark.slow  # to compile
-@pytest.mark.long  # to compile
+@pytest.mark.slow
 def test_only_periodic_motions_have_derivatives():
     found = vj.parameter_map(
         oscillator,

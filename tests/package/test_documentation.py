@@ -200,8 +200,10 @@ def test_validation_shows_every_reference_and_paper():
 
 def test_imports_run_downwards_as_drawn():
     house = module_of("house")
-    found = house.edges()
+    found = house.imports()
     assert house.upward(found) == []
+    assert house.circle(found) == []
+    assert house.too_long() == []
     assert (DOCS / "house.svg").read_text() == house.drawing(found), "python docs/house.py"
 
 

@@ -158,7 +158,7 @@ def test_completion_offers_public_names_only():
 
 
 def test_submodules_are_reached_all_the_same():
-    program = "import vibrojax.plot.style as p, vibrojax as vj; assert vj.results.plotting is p"
+    program = "import vibrojax.plot.style as p, vibrojax as vj; assert vj.plot.style is p"
     subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
 
 

@@ -180,7 +180,6 @@ def made_by_programs():
     yield vj.regimes(body, frequency=[0.14, 0.15], transient=20, periods=40)
 
 
-@pytest.mark.long  # to compile
 @pytest.mark.slow
 def test_results_of_programs_draw_themselves_and_become_datasets():
     for result in made_by_programs():

@@ -19,9 +19,8 @@ from vibrojax.results import saving
 def classes_that_save():
     found = {}
     for module in pkgutil.walk_packages(vibrojax.__path__, "vibrojax."):
-        if module.name.startswith(("vibrojax.results.", "vibrojax.explorer.explorer")):
-            members = inspect.getmembers(importlib.import_module(module.name), inspect.isclass)
-            found |= {name: one for name, one in members if "save" in vars(one)}
+        members = inspect.getmembers(importlib.import_module(module.name), inspect.isclass)
+        found |= {name: one for name, one in members if "save" in vars(one)}
     return found
 
 

@@ -232,7 +232,6 @@ def test_gradients_through_a_second_of_impacts():
 
 
 @pytest.mark.slow
-@pytest.mark.long  # to compile
 def test_gradients_of_a_window_nest_with_vmap():
     def tip(amplitude, gradient="reverse"):
         pendulum = vj.default_pendulum(base_amplitude=amplitude, num_links=3)

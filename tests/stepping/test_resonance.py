@@ -209,7 +209,6 @@ def test_periodic_responses_at_resonance():
     np.testing.assert_allclose(run.coordinates[-1], run.coordinates[0], rtol=1e-7)
 
 
-@pytest.mark.long  # to compile
 @pytest.mark.slow
 def test_derivative_of_a_periodic_response_at_resonance():
     def amplitude(stiffness):

@@ -15,6 +15,7 @@ import pytest
 import xarray
 from map_program import make_map
 
+from vibrojax._tools import interrupts
 from vibrojax._tools.interrupts import in_threads, stoppable
 from vibrojax.maps.work import MapWork
 
@@ -45,7 +46,7 @@ def test_every_item_is_computed_in_a_thread(count):
         return number**2
 
     assert sorted(in_threads(square, range(7), count)) == [0, 1, 4, 9, 16, 25, 36]
-    assert not _interrupts._left
+    assert not interrupts._left
 
 
 def test_what_a_thread_raises_is_raised_and_the_others_stop():
@@ -90,11 +91,11 @@ def test_an_interrupt_frees_the_caller_and_stops_the_thread(interrupt):
         stoppable(endless)
     assert time.monotonic() - started < 1.0
     assert ended.is_set()
-    assert not _interrupts._left
+    assert not interrupts._left
 
 
 def test_who_cannot_be_stopped_is_left_and_the_next_call_waits_for_it(interrupt, monkeypatch):
-    monkeypatch.setattr(_interrupts, "PATIENCE", 0.1)
+    monkeypatch.setattr(interrupts, "PATIENCE", 0.1)
     order = []
 
     def compile_program():  # Python does not see the interrupt before this is over

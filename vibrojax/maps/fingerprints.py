@@ -155,7 +155,7 @@ def _names(code: CodeType) -> _Names:
 @functools.cache
 def _libraries() -> tuple[Path, ...]:
     """Folders of what is installed, and of this package."""
-    own = Path(__file__).resolve().parents[2]
+    own = Path(__file__).resolve().parents[1]
     places = (sysconfig.get_path(k) for k in ("stdlib", "platstdlib", "purelib", "platlib"))
     return (own, *(Path(place).resolve() for place in places))
 

@@ -134,7 +134,7 @@ class Cantilever(eqx.Module):
         return (stiffness / (self.density * self.root_area * self.length**4)) ** 0.5
 
     def static_flexibility(self, position: float) -> float:
-        """Return the deflection of the beam under a unit force at its own place x/L, m/N."""
+        """Return the deflection of the beam under a unit force at a position x/L, there, m/N."""
         nodes, weights = np.polynomial.legendre.leggauss(40)
         s = position * (nodes + 1) / 2
         inertia = self.root_inertia * (1 - self.taper * s)
