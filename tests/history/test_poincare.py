@@ -182,7 +182,9 @@ def test_dataset_spectrum_and_picture_of_what_is_not_linear(swing, tmp_path):
     assert spectrum.to_xarray()["amplitude"].attrs["units"] == "rad"
     assert "rad" in spectrum.plot(span=20.0).axes[0].get_ylabel()
     assert swing.spectrum("chord_reduction", units="mm").units == "mm"
-    with pytest.raises(ValueError, match="Unit of bearing_angle must be one of 'rad', 'deg', got 'm'"):
+    with pytest.raises(
+        ValueError, match="Unit of bearing_angle must be one of 'rad', 'deg', got 'm'"
+    ):
         swing.spectrum("bearing_angle", units="m")
     figure = swing.plot("bearing_angle")
     assert "[rad]" in figure.axes[0].get_ylabel()

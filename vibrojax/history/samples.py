@@ -40,7 +40,10 @@ class SampledMotion(eqx.Module):
         return jnp.concatenate([self.coordinates, self.rates, self.memory], axis=-1)
 
     def shape_at(self, position: ArrayLike | None) -> Float[Array, " coordinates"]:
-        """Displacement by coordinate at the place `position` = x/L; None: the one reported."""
+        """Displacement by coordinate at the place `position` = x/L; None: the one reported.
+
+        Raises `ValueError` for a place that the system does not have.
+        """
         linear = self.motion.equations.linear
         if position is None and linear is not None:
             return linear.response_map

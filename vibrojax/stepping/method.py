@@ -111,19 +111,16 @@ class AbstractMethod(diffrax.AbstractSolver[Any]):
     def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> AbstractMarch:
         """Compute what does not depend on the drive frequency, for one lane.
 
-        Map it with `jax.vmap(..., out_axes=-1)` for lanes of different systems.
-
-        `equations` are those of one system, `drive` says where it is driven. Raises
-        `ValueError` for equations that the method cannot step.
+        `equations` are those of one system (for lanes of several: `jax.vmap(..., out_axes=-1)`),
+        `drive` drives it. Raises `ValueError` for equations that the method cannot step.
         """
 
     @abstractmethod
     def steps(self, motion: Motion) -> int:
         """Return how many equal steps to take in a drive period, for diffrax.
 
-        Raises `ValueError` when that depends on numbers that JAX is tracing.
-
-        `motion` holds equations, drive and waveform.
+        `motion` holds equations, drive and waveform. Raises `ValueError` when the number depends on
+        values that JAX is tracing.
         """
 
     @abstractmethod
@@ -138,8 +135,7 @@ class AbstractMethod(diffrax.AbstractSolver[Any]):
         """Return the state after a step.
 
         `motion` holds equations, drive and waveform; the step begins at `start` and takes
-        `duration` (s); `state` has the shape (states,); `solver_state` is what `init`
-        returned.
+        `duration` (s); `solver_state` is what `init` returned.
         """
 
     def order(self, terms: Any) -> int:

@@ -394,8 +394,7 @@ def march(
 
     zero = jnp.zeros(angular_frequency.shape, jnp.int32)
     first = no_measures(jnp.zeros_like(angular_frequency)) if observe else None
-    target = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), zero.shape)
-    periods = target
+    periods = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), zero.shape)
     start = (jnp.broadcast_to(state, (equations.state_size, *zero.shape)), zero, first)
     end, done, measures = lax.while_loop(lambda c: jnp.any(c[1] < periods), period, start)
     return end, done * steps, measures
