@@ -29,14 +29,12 @@ from vibrojax.regime.lyapunov import (
     tangent_growth,
 )
 from vibrojax.regime.period_number import period_number
+from vibrojax.steady.settling import APERIODIC_PERIODS
 from vibrojax.stepping.method import AbstractMarch, AbstractMethod
 from vibrojax.sweep.lane_pool import WIDTHS
 from vibrojax.sweep.swept_lanes import Prepared, Rigs, prepare, ratios_of
 
 lax = jax.lax
-
-APERIODIC_PERIODS = 24
-"""Drive periods over which contacts and extremes of a motion without a period are measured."""
 
 Report = Callable[[int], object]
 Numbers = Float[np.ndarray, " lanes"]

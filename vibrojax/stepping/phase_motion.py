@@ -12,7 +12,7 @@ from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, reson
 from vibrojax.stepping.resonance import driven_growth
 
 PerLane = Float[Array, " lanes"]
-OfStops = Float[Array, "stops *places"]
+OfStops = Float[Array, "stops *where"]
 Phase = Int[Array, ""]
 
 
@@ -144,7 +144,7 @@ def follow(
 
 
 def read_stops(
-    phases: ContactPhases, phase: Phase, blocks: tuple[Float[Array, "states *places"], ...]
+    phases: ContactPhases, phase: Phase, blocks: tuple[Float[Array, "states *where"], ...]
 ) -> tuple[OfStops, OfStops, OfStops]:
     """Depths of the stops, their rates and accelerations, from what `follow` returns."""
     rows = phases.towards_stop @ phases.to_state[phase][: phases.num_blocks]
