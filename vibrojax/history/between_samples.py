@@ -316,8 +316,8 @@ def _extremes(
             jnp.take_along_axis(a, first, axis=1)[:, 0]
             for a in (f0, f1, d0, d1, cell, time[:, :-1])
         )
-        u, _ = cubic_between(f0, d0, f1, d1).peak()
-        inside = at + u * width
+        u, height = cubic_between(f0, d0, f1, d1).peak()
+        inside = at + jnp.where(height > f0, u, 0.0) * width
         times = jnp.stack([inside, at, at + width])
         values = jnp.stack([sign * look(inside)[0], f0, f1])
         pick = jnp.argmax(values, axis=0)[None]
