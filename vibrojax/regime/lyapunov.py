@@ -90,7 +90,7 @@ def mean_rate(
 
     The mean fades out at both ends of the record, so that a growth that goes up and down, as that
     of a turning tangent, leaves hardly a trace. The error is that of the means of batches, whose
-    length grows with the record, so that growths that hang together do not make it look small.
+    length grows with the record, so that growths that are correlated do not make it look small.
     """
     count = log_growth.shape[0]
     batches = min(BATCHES, max(2, math.isqrt(count)))
