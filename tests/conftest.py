@@ -1,6 +1,7 @@
 """Shared set-up: shapes of every annotated array are checked while the tests run."""
 
 import gc
+import inspect
 import os
 from importlib.metadata import version
 from pathlib import Path
@@ -106,11 +107,11 @@ def make_oscillator(
     mass=1.0,
     tension=True,
     sides=(1,),
-) -> vj.LinearEquations:
+) -> vj.model.LinearEquations:
     """One mass (kg) on a spring, natural frequency in rad/s, with a stop on each of the sides."""
     law = vj.KelvinVoigt(stiffness, damping, tension)
     towards = np.array(sides, float)[:, None]
-    return vj.LinearEquations(
+    return vj.model.LinearEquations(
         stops=tuple(vj.Stop(1.0, gap, law, side=side) for side in sides),
         angular_frequency=jnp.asarray([frequency], float),
         damping_ratio=jnp.asarray([damping_ratio], float),
@@ -163,3 +164,18 @@ def rig_branch():
 def small_branch():
     """Branch of the default rig with one mode: its folds are at 1.3813 and 1.0972."""
     return vj.continue_response(make_rig(num_modes=1), frequency_ratio=(0.85, 1.4))
+
+
+def public_names():
+    """Everything public by name: `simulate`, and `history.History` of the room that holds it."""
+    found = {name: getattr(vj, name) for name in dir(vj) if not name.startswith("_")}
+    rooms = {
+        name: room
+        for name, room in vars(vj).items()
+        if hasattr(room, "__path__") and room.__name__ == f"vibrojax.{name}"
+    }
+    for name, room in rooms.items():
+        for own, value in vars(room).items():
+            if inspect.isclass(value) or inspect.isfunction(value):
+                found[f"{name}.{own}"] = value
+    return found

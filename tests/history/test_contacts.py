@@ -35,11 +35,11 @@ def soft_rig(c1=0.0, *, tension=True, drive=None, tip_mass=0.0, stops=None, side
     return vj.ImpactingBeam(beam, stops, drive or vj.NoDrive(), numbers["zeta"], 5)
 
 
-class Body(vj.AbstractSystem):
+class Body(vj.model.AbstractSystem):
     """A system of given equations."""
 
-    made: vj.LinearEquations
-    drive: vj.AbstractDrive = vj.NoDrive()
+    made: vj.model.LinearEquations
+    drive: vj.model.AbstractDrive = vj.NoDrive()
 
     def equations(self):
         return self.made
@@ -261,7 +261,7 @@ def test_a_history_that_begins_and_ends_in_contact(oscillator):
 
 def test_the_table_reads_well():
     contacts = released({"c1": 10.0, "x0": 0.01}).contacts()
-    assert isinstance(contacts, vj.Contacts)
+    assert isinstance(contacts, vj.history.Contacts)
     text = repr(contacts)
     assert text.startswith("Contacts(6)")
     assert "restitution" in text

@@ -159,7 +159,7 @@ def test_rounded_corners_close_too():
 
 def test_shares_and_the_dataset():
     energy = released({"c1": 10.0, "x0": 0.01}).energy()
-    assert isinstance(energy, vj.EnergyFlow)
+    assert isinstance(energy, vj.history.EnergyFlow)
     mean = energy.mean_share(0.01, 0.02)
     assert mean.shape == (5,)
     assert mean.sum() == pytest.approx(1.0)
@@ -179,9 +179,10 @@ def test_the_picture(tmp_path):
     for kind in ("stacked", "lines"):
         figure = energy.plot(kind)
         top, bottom = figure.axes
-        assert top.get_ylabel() == "Share of the energy [1]"
-        assert bottom.get_xlabel() == "Time [s]"
-        assert len(top.get_legend().get_texts()) == 5
+        assert top.get_ylabel() == "Share of the energy"
+        assert bottom.get_xlabel() == "Time (s)"
+        words = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert words[:5] == [f"mode {i + 1}" for i in range(5)]
         figure.savefig(tmp_path / f"{kind}.png")
     with pytest.raises(ValueError, match="kind must be"):
         energy.plot("bars")

@@ -12,10 +12,10 @@ FREQUENCY = 3.0
 
 def history_of(equations, system, waveform, q, v, a, time):
     drive = vj.PointForce(1.0)
-    run = vj.Motion(equations, drive, waveform)
+    run = vj.model.Motion(equations, drive, waveform)
     none = jnp.zeros((len(time), 0))
     status = jnp.asarray(vj.Status.completed.value)
-    return vj.History(system, run, time, q, v, a, none, none, status)
+    return vj.history.History(system, run, time, q, v, a, none, none, status)
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_refusals(oscillator):
         sine(free, 2, vj.Harmonic(FREQUENCY)).poincare()
 
 
-class Swing(vj.AbstractEquations):
+class Swing(vj.model.AbstractEquations):
     """A mass on a rigid rod of 0.5 m: its coordinate is an angle, its place is not linear in it."""
 
     stops: tuple[vj.Stop, ...] = ()
@@ -187,7 +187,7 @@ def test_dataset_spectrum_and_picture_of_what_is_not_linear(swing, tmp_path):
     ):
         swing.spectrum("bearing_angle", units="m")
     figure = swing.plot("bearing_angle")
-    assert "[rad]" in figure.axes[0].get_ylabel()
+    assert "(rad)" in figure.axes[0].get_ylabel()
     figure.savefig(tmp_path / "angle.png")
     assert swing.poincare("bearing_angle", 0.0).values[rate_name("bearing_angle")][0] > 0
 

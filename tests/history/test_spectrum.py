@@ -267,8 +267,8 @@ def test_dataset_and_picture(driven, tmp_path):
     figure = spectrum.plot(span=300, count=6)
     figure.savefig(tmp_path / "spectrum.png")
     (axes,) = figure.axes
-    assert axes.get_xlabel() == "Frequency [Hz]"
-    assert axes.get_ylabel() == "Acceleration at x/L = 1,\npeak amplitude [g]"
+    assert axes.get_xlabel() == "Frequency (Hz)"
+    assert axes.get_ylabel() == "Acceleration at x/L = 1,\npeak amplitude (g)"
     assert axes.get_yscale() == "log"
     for part in ("hann", "averages of 1 s", "resolution 1 Hz"):
         assert part in axes.get_title("left")

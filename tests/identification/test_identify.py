@@ -35,7 +35,7 @@ def measured(seed=0, *, name, noise=0.02, **facts):
     ratio, amplitude, direction = listed(name)
     deviation = np.hypot(noise * amplitude, 0.05)
     scatter = deviation * np.random.default_rng(seed).standard_normal(ratio.size)
-    return vj.MeasuredCurve(
+    return vj.io.MeasuredCurve(
         ratio,
         "frequency_ratio",
         amplitude=np.abs(amplitude + scatter),
@@ -151,7 +151,7 @@ def test_an_early_jump_biases_nothing_and_is_named(make, name):
     for k in forward[last - 3 : last]:
         amplitude[k] = backward[data.frequency[k]]
     deviation = np.hypot(0.02 * amplitude, 0.05)
-    early = vj.MeasuredCurve(
+    early = vj.io.MeasuredCurve(
         data.frequency,
         "frequency_ratio",
         amplitude=amplitude,
@@ -206,10 +206,10 @@ def test_shared_and_private_numbers(make, name):
 def test_the_posterior_agrees_with_the_interval(make, name):
     pytest.importorskip("blackjax")
     strong = vj.frequency_sweep(make(damping=2.0), frequency_ratio=np.linspace(0.85, 1.31, 50))
-    data = vj.read_measured_curve(strong.to_xarray())
+    data = vj.io.read_measured_curve(strong.to_xarray())
     deviation = np.hypot(0.02 * data.amplitude, 0.05)
     scatter = deviation * np.random.default_rng(1).standard_normal(data.size)
-    noisy = vj.MeasuredCurve(
+    noisy = vj.io.MeasuredCurve(
         data.frequency,
         "frequency_ratio",
         amplitude=data.amplitude + scatter,
@@ -238,7 +238,7 @@ def test_optax_and_the_other_objectives(make, name, fit):
         make,
         measured(name=name),
         dict(stiffness=5000.0),
-        search=vj.Optax(optax.adam(0.02), steps=60),
+        search=vj.identification.Optax(optax.adam(0.02), steps=60),
     )
     assert adam.estimate["stiffness"] == pytest.approx(fit.estimate["stiffness"], rel=0.01)
     for objective in ("pointwise", "folds"):
@@ -297,10 +297,10 @@ def test_what_it_refuses(make, name):
     with pytest.raises(ValueError, match="fewer measured points"):
         vj.identify(
             make,
-            vj.MeasuredCurve(np.array([1.0]), "frequency_ratio", amplitude=np.array([9.0])),
+            vj.io.MeasuredCurve(np.array([1.0]), "frequency_ratio", amplitude=np.array([9.0])),
             GUESS,
         )
-    hertz = vj.MeasuredCurve(
+    hertz = vj.io.MeasuredCurve(
         data.frequency * 1e4, "frequency", amplitude=data.amplitude, direction=data.direction
     )
     with pytest.raises(ValueError, match="do not overlap"):
@@ -313,7 +313,7 @@ def test_a_curve_without_contact_is_refused(make):
     free = vj.continue_response(make(gap=0.4e-3), frequency_ratio=(0.3, 0.5))
     assert free.contact_force.max() == 0
     ratio = np.linspace(0.3, 0.5, 20)
-    data = vj.MeasuredCurve(
+    data = vj.io.MeasuredCurve(
         ratio,
         "frequency_ratio",
         amplitude=np.interp(ratio, free.values, free.amplitude_ratio),

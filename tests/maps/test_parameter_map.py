@@ -216,7 +216,7 @@ def test_dry_run_says_what_it_takes_and_makes_nothing(tmp_path):
         chunk_lanes=100,
         dry_run=True,
     )
-    assert isinstance(plan, vj.MapPlan)
+    assert isinstance(plan, vj.maps.MapPlan)
     assert (plan.lanes, plan.points) == (2000, 16000)
     assert (plan.chunks, plan.lanes_per_chunk) == (20, 100)
     assert plan.seconds > plan.lane_seconds * 2000 > 0

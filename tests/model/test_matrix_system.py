@@ -113,8 +113,8 @@ def test_history_of_the_same_beam(pair):
     with pytest.raises(ValueError, match=r"^Only the history of a beam has a position"):
         ours.displacement(1.0)
     np.testing.assert_array_equal(ours.to_xarray()["displacement"], ours.displacement())
-    assert ours.plot().axes[0].get_ylabel() == "Displacement [m]"
-    assert wanted.plot().axes[0].get_ylabel() == "Displacement at x/L = 1 [m]"
+    assert ours.plot().axes[0].get_ylabel() == "Displacement (mm)"
+    assert wanted.plot().axes[0].get_ylabel() == "Displacement at x/L = 1\n(mm)"
 
 
 @pytest.mark.slow
@@ -228,7 +228,7 @@ def test_linear_force_and_acceleration_have_the_whole_damping():
     wanted = np.linalg.solve(mass, np.array([0.0, 3.0]) - wanted)
     np.testing.assert_allclose(shapes @ equations.acceleration(q, rate, 3.0), wanted, atol=1e-13)
     np.testing.assert_allclose(
-        vj.AbstractEquations.acceleration(equations, q, rate, 3.0),
+        vj.model.AbstractEquations.acceleration(equations, q, rate, 3.0),
         equations.acceleration(q, rate, 3.0),
         atol=1e-13,
     )

@@ -228,7 +228,7 @@ def test_laws_that_are_not_linear_are_refused(rig):
         vj.ExactContact().prepare(Pendulum(stops=()), vj.NoDrive())
 
 
-class Pendulum(vj.AbstractEquations):
+class Pendulum(vj.model.AbstractEquations):
     stops: tuple[vj.Stop, ...]
 
     def mass(self, q):

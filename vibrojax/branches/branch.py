@@ -8,11 +8,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Complex, Float
 
+from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.results.axes import coordinates_of, pick
 from vibrojax.results.saving import save_dataset
-from vibrojax.results.variables import VARIABLES, axis_unit
-from vibrojax.results.variables import axis_description as axis_description
+from vibrojax.results.variables import axis_description, axis_unit, described_as
 from vibrojax.sweep.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
@@ -204,36 +204,34 @@ class Branch(eqx.Module):
         """Return a dataset along `point`, with units, long names and the rig in its attributes."""
         import xarray
 
-        units = {"ratio": self.ratio_units, "axis": axis_unit(self.axis)}
+        axis_units = axis_unit(self.axis)
 
         def described(name: str) -> dict[str, Any]:
-            unit, long_name = VARIABLES[name]
-            return {"units": units.get(unit, unit), "long_name": long_name}
+            return described_as(name, self.ratio_units, axis_units)
 
         data: dict[str, Any] = {
             name: ("point", np.asarray(getattr(self, name)), described(name)) for name in CURVES
         }
-        data["exact_points"] = (
-            "point",
-            self.exact_points.astype(np.int8),
-            described("exact_points"),
-        )
-        data["stable"] = ("point", self.stable.astype(np.int8), described("stable"))
+        for name in ("exact_points", "stable"):
+            data[name] = ("point", getattr(self, name).astype(np.int8), described(name))
         for part, values in (
             ("real", np.real(self.floquet_multipliers)),
             ("imaginary", np.imag(self.floquet_multipliers)),
         ):
             name = f"floquet_multiplier_{part}"
             data[name] = (("point", "multiplier"), values, described(name))
-        data["initial_state"] = (
-            ("point", "state"),
-            self.initial_state,
-            {"units": "m, m/s", "long_name": "Modal displacements, then velocities, at phase 0"},
-        )
+        states = (("point", "state"), self.initial_state, described("initial_state"))
+        data["initial_state"] = states
         for kind in SPECIAL:
-            label = kind.replace("_", " ").capitalize()
-            where = {"units": units["axis"], "long_name": f"{label} of {self.axis}"}
-            data[kind] = (kind[:-1], getattr(self, kind), where)
+            label, dim = kind.replace("_", " ").capitalize(), kind[:-1]
+            own = [point for point in self.special_points if point.kind == dim]
+            where = {"units": axis_units, "long_name": f"{label} of {self.axis}"}
+            after = {"units": "1", "long_name": "Index of the point before it"}
+            data[kind] = (dim, getattr(self, kind), where)
+            data[f"{dim}_after"] = (dim, np.array([p.after for p in own], int), after)
+            for name in ("amplitude_ratio", "contact_force"):
+                values = np.array([getattr(p, name) for p in own], float)
+                data[f"{dim}_{name}"] = (dim, values, described(name))
         coordinates: dict[str, Any] = {
             self.axis: ("point", self.values, axis_description(self.axis)),
             "arclength": ("point", self.arclength, described("arclength")),
@@ -241,6 +239,7 @@ class Branch(eqx.Module):
         for name, value in self.labels.items():
             coordinates[name] = ((), value, axis_description(name))
         attributes = dict(self.attributes) | {
+            "axis": self.axis,
             "status": self.status,
             "sentence": self.sentence,
             "period": self.period,
@@ -267,9 +266,7 @@ class Branch(eqx.Module):
         `sweep`, a `FrequencyResponse`, is laid over it. Raises `ValueError` for an unknown
         variable.
         """
-        from vibrojax.plot.branch import plot_branches
-
-        return plot_branches([self], variable, sweep=sweep)
+        return _picture([self], variable, sweep)
 
     def __repr__(self) -> str:
         lines = [
@@ -295,6 +292,24 @@ class Branch(eqx.Module):
             lines.append(f"  and {len(self.special_points) - 8} special points more")
         lines.append(f"  {self.sentence}")
         return "\n".join(lines)
+
+
+def _picture(
+    branches: Sequence[Branch], variable: str, sweep: FrequencyResponse | None = None
+) -> "Figure":
+    if variable not in CURVES:
+        raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, CURVES)}")
+    drawn = [b.to_xarray() for b in branches if len(b.values)]
+    if not drawn:
+        raise ValueError("None of the branches has a point to draw.")
+    laid = None if sweep is None else sweep.to_xarray()
+    if laid is not None and variable not in laid:
+        raise ValueError(f"A sweep has no {variable}: draw the branch without it.")
+    if sweep is not None and any(len(values) > 1 for values in sweep.axes.values()):
+        raise ValueError("sweep must be of one system: pick one value of every axis.")
+    from vibrojax.plot.branch import plot_branches
+
+    return plot_branches(drawn, variable, laid)
 
 
 class Branches(eqx.Module):
@@ -365,9 +380,7 @@ class Branches(eqx.Module):
         `variable` is a name of a curve, such as `contact_force`. Raises `ValueError` for
         another, or when there is nothing to draw.
         """
-        from vibrojax.plot.branch import plot_branches
-
-        return plot_branches(list(self.branches), variable)
+        return _picture(self.branches, variable)
 
     def __repr__(self) -> str:
         shape = ", ".join(f"{name}: {len(v)}" for name, v in self.axes.items())

@@ -6,11 +6,11 @@ import jax
 import numpy as np
 
 from vibrojax._tools.described import in_short
-from vibrojax.branches.branch import CURVES, Branch, axis_description
+from vibrojax.branches.branch import CURVES, Branch
 from vibrojax.branches.finishing import ratios_of
 from vibrojax.branches.lane_paths import references
 from vibrojax.branches.tracing import exact_from, make_exact
-from vibrojax.results.variables import VARIABLES
+from vibrojax.results.variables import VARIABLES, axis_description
 from vibrojax.steady.balanced_motion import read_all, solve_all
 from vibrojax.steady.exact_point import ExactPoint, Guess
 
