@@ -51,6 +51,7 @@ def function_of(near):
 AT = (0.4e-3, 5500.0, 0.5)
 
 
+@pytest.mark.long  # two minutes
 @pytest.mark.slow
 def test_folds_and_their_gradients(small_branch):
     steps = (1e-8, 0.5, 1e-5)

@@ -254,10 +254,10 @@ def one_mode(rig):
         return rig(stiffness=stiffness, num_modes=1)
 
     swept = vj.frequency_sweep(make(), frequency_ratio=np.linspace(0.85, 1.45, 40))
-    data = vj.read_measured_curve(swept.to_xarray())
+    data = vj.io.read_measured_curve(swept.to_xarray())
     deviation = np.hypot(0.02 * data.amplitude, 0.05)
     scatter = deviation * np.random.default_rng(2).standard_normal(data.size)
-    noisy = vj.MeasuredCurve(
+    noisy = vj.io.MeasuredCurve(
         data.frequency,
         "frequency_ratio",
         amplitude=np.abs(data.amplitude + scatter),
@@ -269,7 +269,7 @@ def one_mode(rig):
 
 @pytest.mark.slow
 def test_every_objective_and_search_on_one_mode(one_mode):
-    adam = vj.Optax(optax.adam(0.02), steps=60)
+    adam = vj.identification.Optax(optax.adam(0.02), steps=60)
     for more in ({"objective": "pointwise"}, {"objective": "folds"}, {"search": adam}):
         fit = vj.identify(*one_mode, dict(stiffness=5000.0), **more)
         assert fit.estimate["stiffness"] == pytest.approx(5500, rel=0.04), more
