@@ -18,13 +18,13 @@ STEPS_IN_DIFFRAX = 2
 """Steps of diffrax's loop per drive period for `ExactContact`, which any length suits."""
 
 
-def equations(problem: exact.Problem) -> vj.LinearEquations:
+def equations(problem: exact.Problem) -> vj.model.LinearEquations:
     """The problem's equations of motion."""
     shape = jnp.asarray(problem.shape_at_stop * problem.side)
     mass = jnp.asarray(problem.modal_mass)
     law = vj.KelvinVoigt(problem.stiffness, problem.damping)
     w = jnp.asarray(problem.angular_frequency)
-    return vj.LinearEquations(
+    return vj.model.LinearEquations(
         stops=(vj.Stop(1.0, problem.gap, law, smoothing=0.0),),
         angular_frequency=w,
         damping_ratio=jnp.broadcast_to(jnp.asarray(problem.damping_ratio), w.shape),
@@ -54,7 +54,7 @@ def _phases(problem: exact.Problem):
     return jax.jit(contact_phases)(equations(problem))
 
 
-def _march(problem: exact.Problem, method: vj.AbstractMethod):
+def _march(problem: exact.Problem, method: vj.stepping.AbstractMethod):
     drive = vj.BaseMotion(problem.base_amplitude)
     return eqx.filter_jit(method.prepare)(equations(problem), drive)
 
@@ -94,7 +94,7 @@ def run_in_diffrax(problem, frequencies, periods, accuracy, repeats=3) -> Run:
     solver = vj.ExactContact(accuracy)
 
     def lane(omega):
-        motion = vj.Motion(model, drive, vj.Harmonic(omega / (2 * jnp.pi)), phases)
+        motion = vj.model.Motion(model, drive, vj.Harmonic(omega / (2 * jnp.pi)), phases)
         period = 2 * jnp.pi / omega
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(motion.vector_field),

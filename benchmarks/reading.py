@@ -33,15 +33,15 @@ def tables(rows: int) -> dict[str, str]:
 
 
 def main(rows: int) -> None:
-    vj.read_measured_curve({"f [Hz]": [8.0, 9.0], "tip [mm]": [1.0, 2.0]})  # imports
+    vj.io.read_measured_curve({"f [Hz]": [8.0, 9.0], "tip [mm]": [1.0, 2.0]})  # imports
     print(f"| {rows:,} rows of two columns | seconds | of the processor |\n|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.csv"
         for name, text in tables(rows).items():
             path.write_text(text, encoding="utf-16" if "UTF-16" in name else "utf-8")
-            report(f"curve: {name}", lambda: vj.read_measured_curve(path))
+            report(f"curve: {name}", lambda: vj.io.read_measured_curve(path))
         path.write_text(tables(rows)["commas"].replace("f [Hz]", "t [s]"))
-        report("history: commas", lambda: vj.read_measured_history(path, frequency=10.0))
+        report("history: commas", lambda: vj.io.read_measured_history(path, frequency=10.0))
 
 
 def report(name: str, read) -> None:

@@ -1,14 +1,14 @@
 """A griffe extension: the reference shows how a module of equinox is constructed.
 
 Equinox makes `__init__` from the annotated fields of a class, as dataclasses do; read statically
-the class has none. Results are left out, nobody constructs them.
+the class has none. Results are left out, nobody constructs them: what can be constructed checks its
+arguments, or belongs to the model.
 """
 
 import ast
 
 import griffe
 
-RESULTS = ("vibrojax.results.", "vibrojax.explorer.")
 NOT_MODULES = ("NamedTuple", "Enum", "Exception", "Error")
 
 
@@ -21,7 +21,7 @@ class Constructors(griffe.Extension):
         if (
             not bases
             or "__init__" in cls.members
-            or cls.path.startswith(RESULTS)
+            or not (_is_checked(cls) or cls.path.startswith("vibrojax.model."))
             or any(base.endswith(NOT_MODULES) for base in bases)
         ):
             return
@@ -32,6 +32,10 @@ class Constructors(griffe.Extension):
                 "__init__", parent=cls, parameters=griffe.Parameters(own, *fields), returns="None"
             )
             cls.set_member("__init__", init)
+
+
+def _is_checked(cls):
+    return any("validated" in str(decorator.value) for decorator in cls.decorators)
 
 
 def _is_field(member):

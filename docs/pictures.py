@@ -66,7 +66,7 @@ def identification():
     data = sweep.to_xarray()[["amplitude_ratio"]]
     noise = np.random.default_rng(0).normal(size=data["amplitude_ratio"].shape)
     data["amplitude_ratio"] = data["amplitude_ratio"] * (1 + 0.02 * noise)
-    measured = vj.read_measured_curve(data)
+    measured = vj.io.read_measured_curve(data)
     fit = vj.identify(vj.default_rig, measured, guess=dict(stiffness=4000.0, damping=1e-2))
     print(fit)
     return fit.plot()

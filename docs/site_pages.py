@@ -184,5 +184,5 @@ def _table_of_names(nav):
         page = place.removeprefix("api/")
         for name in names:
             sentence = first[name].replace("|", "\\|")
-            rows.append(f"| [`{name.split('.')[-1]}`]({page}#{name}) | {sentence} |")
+            rows.append(f"| [`{name.removeprefix('vibrojax.')}`]({page}#{name}) | {sentence} |")
     return "\n".join(rows)

@@ -51,7 +51,9 @@ def write_json(path: Path, data: dict[str, Any]) -> None:
     path.write_text("{\n" + lines + "\n}\n")
 
 
-def place(branch: vj.Branch, y: np.ndarray, point: vj.SpecialPoint) -> tuple[float, float]:
+def place(
+    branch: vj.branches.Branch, y: np.ndarray, point: vj.branches.SpecialPoint
+) -> tuple[float, float]:
     """Where a special point lies on a curve of the branch: its (broken) index and its height."""
     x, last = branch.values, len(y) - 1
     if point.kind == "fold" and 0 < point.after < last:
@@ -66,7 +68,12 @@ def place(branch: vj.Branch, y: np.ndarray, point: vj.SpecialPoint) -> tuple[flo
 
 
 def draw_branch(
-    axes: Axes, branch: vj.Branch, x: np.ndarray, y: np.ndarray, color: str, width: float = 2.2
+    axes: Axes,
+    branch: vj.branches.Branch,
+    x: np.ndarray,
+    y: np.ndarray,
+    color: str,
+    width: float = 2.2,
 ) -> None:
     """Draw a branch: stable solid, unstable dashed, changing at special points where there are any.
 

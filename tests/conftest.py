@@ -1,6 +1,7 @@
 """Shared set-up: shapes of every annotated array are checked while the tests run."""
 
 import gc
+import inspect
 import os
 from importlib.metadata import version
 from pathlib import Path
@@ -30,6 +31,26 @@ import vibrojax as vj  # noqa: E402
 
 MOST_MAPPINGS = 20_000
 """Of memory in a process, of which Linux allows 65530; every compiled function takes several."""
+
+
+QUICK = {
+    *("test_beam", "test_drive", "test_elastic_pendulum"),
+    *("test_zipped_axes", "test_replay", "test_poincare", "test_single_contact"),
+    *("test_folds", "test_coexisting", "test_period_number", "test_lyapunov", "test_bifurcation"),
+    *("test_map_chunks", "test_regime_map", "test_identification_plot", "test_saving"),
+    *("test_measured_curve", "test_measured_files", "test_measured_history"),
+    *("test_measured_responses", "test_rig_file", "test_cli_fit", "test_interrupts"),
+    *("test_public_names", "test_documentation", "test_notebooks", "test_resolution"),
+    *("test_experiment_gandhi_vyas",),
+}
+"""Files whose tests, but for the slow ones, are run all the time: some of every room."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their markers
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if item.path.stem in QUICK and not item.get_closest_marker("slow"):
+            item.add_marker("quick")
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -86,11 +107,11 @@ def make_oscillator(
     mass=1.0,
     tension=True,
     sides=(1,),
-) -> vj.LinearEquations:
+) -> vj.model.LinearEquations:
     """One mass (kg) on a spring, natural frequency in rad/s, with a stop on each of the sides."""
     law = vj.KelvinVoigt(stiffness, damping, tension)
     towards = np.array(sides, float)[:, None]
-    return vj.LinearEquations(
+    return vj.model.LinearEquations(
         stops=tuple(vj.Stop(1.0, gap, law, side=side) for side in sides),
         angular_frequency=jnp.asarray([frequency], float),
         damping_ratio=jnp.asarray([damping_ratio], float),
@@ -143,3 +164,18 @@ def rig_branch():
 def small_branch():
     """Branch of the default rig with one mode: its folds are at 1.3813 and 1.0972."""
     return vj.continue_response(make_rig(num_modes=1), frequency_ratio=(0.85, 1.4))
+
+
+def public_names():
+    """Everything public by name: `simulate`, and `history.History` of the room that holds it."""
+    found = {name: getattr(vj, name) for name in dir(vj) if not name.startswith("_")}
+    rooms = {
+        name: room
+        for name, room in vars(vj).items()
+        if hasattr(room, "__path__") and room.__name__ == f"vibrojax.{name}"
+    }
+    for name, room in rooms.items():
+        for own, value in vars(room).items():
+            if inspect.isclass(value) or inspect.isfunction(value):
+                found[f"{name}.{own}"] = value
+    return found

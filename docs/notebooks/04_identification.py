@@ -46,7 +46,7 @@ with open("measured.csv", "w") as file:
             hertz = place * float(swept.natural_frequency)
             print(f"{hertz:.5f}, {noisy:.5f}, {direction}, {0.02 * tip:.5f}", file=file)
 
-measured = vj.read_measured_curve("measured.csv")
+measured = vj.io.read_measured_curve("measured.csv")
 measured
 
 # %% [markdown]

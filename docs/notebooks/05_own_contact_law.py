@@ -35,7 +35,7 @@ periods = 60
 
 
 # %%
-class Felt(vj.AbstractContactLaw):
+class Felt(vj.model.AbstractContactLaw):
     """A spring with damping that grows with depth; it pushes and never pulls."""
 
     stiffness: float  # N/m
@@ -161,5 +161,5 @@ print(f"The forward jumps differ by {difference:+.2%}.")
 # ## What you have seen
 # - A law is a class with its numbers as fields and a method `force(penetration, rate)`.
 # - It then works in `simulate`, `frequency_sweep`, `parameter_map`, `periodic_response` and
-#   `continue_response`. Closed forms need a linear law (`vj.AbstractLinearLaw`).
-# - Laws that remember (rubber, putty) derive from `vj.AbstractMemoryLaw`.
+#   `continue_response`. Closed forms need a linear law (`vj.model.AbstractLinearLaw`).
+# - Laws that remember (rubber, putty) derive from `vj.model.AbstractMemoryLaw`.

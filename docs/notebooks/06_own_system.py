@@ -198,15 +198,15 @@ gaps.plot()
 # is. Here all but $f$ are taken from the linear strip. The *system* holds the numbers and makes the
 # equations. The stops, the drive and all methods come with them.
 #
-# Do not subclass `vj.LinearEquations` for this: what is one of those is taken to be linear, and the
-# exact methods would leave $f$ out.
+# Do not subclass `vj.model.LinearEquations` for this: what is one of those is taken to be linear,
+# and the exact methods would leave $f$ out.
 
 
 # %%
-class StretchingEquations(vj.AbstractEquations):
+class StretchingEquations(vj.model.AbstractEquations):
     """A body that is linear but for its stops and for the tension that bending puts into it."""
 
-    linear: vj.LinearEquations
+    linear: vj.model.LinearEquations
     slopes: jnp.ndarray  # integral of the products of the slopes of the modes, 1/m
     tension: jnp.ndarray  # E A / 2 L, N/m
     stops: tuple[vj.Stop, ...]
@@ -234,11 +234,11 @@ class StretchingEquations(vj.AbstractEquations):
         return self.linear.response(q)
 
 
-class StretchingStrip(vj.AbstractSystem):
+class StretchingStrip(vj.model.AbstractSystem):
     """The strip of above, with the tension that its clamps hold; tension=0 leaves it out."""
 
     strip: vj.MatrixSystem
-    drive: vj.AbstractDrive
+    drive: vj.model.AbstractDrive
     tension: float  # N/m
 
     def equations(self):

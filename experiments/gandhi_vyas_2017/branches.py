@@ -32,7 +32,7 @@ RATIO_LABEL = "drive frequency / first natural frequency"
 PEAK_LABEL = "peak ratio  max|y tip| / σ"
 
 
-def trace(formulation: str, tapers=TAPERS, mass_ratios=MASS_RATIOS) -> list[vj.Branch]:
+def trace(formulation: str, tapers=TAPERS, mass_ratios=MASS_RATIOS) -> list[vj.branches.Branch]:
     """Trace the branches of Figs 8 to 10 of one formulation, one by one."""
     branches = []
     for mass_ratio, taper in itertools.product(mass_ratios, tapers):
@@ -51,7 +51,9 @@ def nearest(folds: np.ndarray, jump: float) -> float:
     return float(folds[np.argmin(away)]) if np.min(away, initial=np.inf) < NEAR else float("nan")
 
 
-def compare(formulation: str, branches: list[vj.Branch], summary: pd.DataFrame) -> pd.DataFrame:
+def compare(
+    formulation: str, branches: list[vj.branches.Branch], summary: pd.DataFrame
+) -> pd.DataFrame:
     """One row per branch: its folds beside the jumps of the sweep in `summary`."""
     swept = summary[(summary["study"] == "fig8to10") & (summary["formulation"] == formulation)]
     rows = []
@@ -96,7 +98,7 @@ def to_markdown(table: pd.DataFrame) -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw_panel(axes, branch: vj.Branch, sweep: pd.DataFrame) -> None:
+def draw_panel(axes, branch: vj.branches.Branch, sweep: pd.DataFrame) -> None:
     """One branch under the settled points of the sweep in both directions."""
     x, y = branch.values, branch.peak_ratio
     common.draw_branch(axes, branch, x, y, BRANCH, 1.5)
@@ -117,7 +119,7 @@ def draw_panel(axes, branch: vj.Branch, sweep: pd.DataFrame) -> None:
     common.finish(axes)
 
 
-def draw(branches: dict[str, list[vj.Branch]], results: Path, folder: Path) -> None:
+def draw(branches: dict[str, list[vj.branches.Branch]], results: Path, folder: Path) -> None:
     """Figs 8 to 10 with their branches: a row per formulation, a panel per taper."""
     for j, mass_ratio in enumerate(MASS_RATIOS):
         figure, grid = plt.subplots(

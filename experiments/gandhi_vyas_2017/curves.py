@@ -59,7 +59,7 @@ class Study(NamedTuple):
     name: str
     formulation: str
     num_modes: int
-    curve: vj.FrequencyResponse
+    curve: vj.sweep.FrequencyResponse
 
 
 def grid(name: str, formulation: str, quick: bool) -> np.ndarray:
@@ -111,7 +111,7 @@ def run_studies(formulation: str, quick: bool = False) -> Iterator[Study]:
         yield Study(name, formulation, num_modes, curve)
 
 
-def settled_peak_ratio(curve: vj.FrequencyResponse) -> np.ndarray:
+def settled_peak_ratio(curve: vj.sweep.FrequencyResponse) -> np.ndarray:
     """Peak ratio with the points that are not periodic taken out (NaN)."""
     periodic = np.asarray(curve.status) == vj.Status.settled.value
     return np.where(periodic, curve.peak_ratio, np.nan)
@@ -163,7 +163,7 @@ def summarise(study: Study, quick: bool = False) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def curve_table(curve: vj.FrequencyResponse, index: int) -> pd.DataFrame:
+def curve_table(curve: vj.sweep.FrequencyResponse, index: int) -> pd.DataFrame:
     """Curves of one mass ratio as columns: peak ratio and period by taper and direction."""
     table = {"frequency_ratio": curve.frequencies}
     for i, taper in enumerate(curve.axes["taper"]):

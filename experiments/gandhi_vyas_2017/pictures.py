@@ -44,7 +44,7 @@ def draw_shapes(folder: Path) -> None:
     _save(figure, folder, "fig6_mode_shapes")
 
 
-def draw_curve(axes: Axes, curve: vj.FrequencyResponse, lane: tuple[int, ...]) -> None:
+def draw_curve(axes: Axes, curve: vj.sweep.FrequencyResponse, lane: tuple[int, ...]) -> None:
     """Both directions of one lane: periodic points as lines, the others marked, jumps as arrows."""
     ratios = np.asarray(curve.frequencies)
     peak, period, status = (

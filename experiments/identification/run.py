@@ -59,11 +59,11 @@ def clean(damping: float, gap: float = 0.4e-3) -> np.ndarray:
     return _swept[damping, gap]
 
 
-def measured(amplitude: np.ndarray, seed: int, **about: Any) -> vj.MeasuredCurve:
+def measured(amplitude: np.ndarray, seed: int, **about: Any) -> vj.io.MeasuredCurve:
     """Return the amplitudes with noise."""
     deviation = np.hypot(RELATIVE * amplitude, FLOOR)
     noise = np.random.default_rng(seed).normal(size=amplitude.size)
-    return vj.MeasuredCurve(
+    return vj.io.MeasuredCurve(
         np.tile(RATIOS, 2),
         "frequency_ratio",
         amplitude=np.abs(amplitude + deviation * noise),
@@ -82,7 +82,7 @@ def early(amplitude: np.ndarray) -> np.ndarray:
     return np.concatenate([forward, backward])
 
 
-def numbers(fit: vj.Identification) -> dict[str, Any]:
+def numbers(fit: vj.identification.Identification) -> dict[str, Any]:
     """Return what the tables need of a fit."""
     return {
         "estimate": fit.estimate,
@@ -95,7 +95,7 @@ def numbers(fit: vj.Identification) -> dict[str, Any]:
     }
 
 
-def curve_of(fit: vj.Identification, measurement: int = 0) -> dict[str, Any]:
+def curve_of(fit: vj.identification.Identification, measurement: int = 0) -> dict[str, Any]:
     """Return the points and the fitted curve for a picture."""
     m, p = fit.measured[measurement], fit.predictions[measurement]
     return {
@@ -146,7 +146,7 @@ def recovery(quick: bool) -> dict[str, Any]:
 
 def fit_draws(
     amplitude: np.ndarray, seeds: Iterable[int], group: int = 10, **how: Any
-) -> tuple[list[vj.Identification], dict[str, float]]:
+) -> tuple[list[vj.identification.Identification], dict[str, float]]:
     """Fit draws of the noise in groups, each by itself."""
     seeds, timer, found = list(seeds), Timer.start(), []
     for k in range(0, len(seeds), group):

@@ -35,7 +35,7 @@ BLUE, GREEN = "#0060a8", "#2a7f3f"
 SHADES = ("#e9a13b", "#d1590a", "#8c2d04")
 
 
-class RootSpring(vj.AbstractContactLaw):
+class RootSpring(vj.model.AbstractContactLaw):
     """k (d + sqrt(d^2 + eps^2)) / 2 with d counted from the gap, `LEAD` after the stop's own."""
 
     eps: float
@@ -48,11 +48,11 @@ class RootSpring(vj.AbstractContactLaw):
 class Found(NamedTuple):
     """What the continuation gave."""
 
-    branch: vj.Branch
-    doubled: vj.Branch
-    rounded: list[vj.Branch]
+    branch: vj.branches.Branch
+    doubled: vj.branches.Branch
+    rounded: list[vj.branches.Branch]
     """With the rounded spring, by width."""
-    ramped: vj.Branch
+    ramped: vj.branches.Branch
     """With the ramp of `Stop(smoothing=0.01)`."""
     rows: list[common.Row]
 
@@ -80,12 +80,12 @@ def amplitude_of(curve: Any) -> np.ndarray:
     return FORCE * np.asarray(curve.amplitude_ratio)
 
 
-def jump_up(branch: vj.Branch) -> float:
+def jump_up(branch: vj.branches.Branch) -> float:
     """Angular frequency at which a sweep downwards leaves the motion that hardly touches."""
     return float(branch.folds.min()) * UNIT
 
 
-def trace_rounded(stop: vj.Stop, step: float) -> vj.Branch:
+def trace_rounded(stop: vj.Stop, step: float) -> vj.branches.Branch:
     """Trace a curve whose force has no corner, by harmonic balance."""
     return vj.continue_response(
         system(stop),
@@ -95,7 +95,7 @@ def trace_rounded(stop: vj.Stop, step: float) -> vj.Branch:
     )
 
 
-def lowest(branch: vj.Branch) -> float:
+def lowest(branch: vj.branches.Branch) -> float:
     """Lowest w of the points between the two folds and on the lower branch."""
     top = int(np.argmax(branch.values * (branch.contact_force > 1.0)))
     return float(branch.values[top:].min()) * UNIT
@@ -194,7 +194,7 @@ def save(figure: Any, path: Path) -> None:
     plt.close(figure)
 
 
-def as_data(branch: vj.Branch) -> dict[str, Any]:
+def as_data(branch: vj.branches.Branch) -> dict[str, Any]:
     """A branch as plain lists, w in rad/s."""
     points = [
         {"kind": p.kind, "w": round(p.parameter * UNIT, 9), "contact_force": p.contact_force}

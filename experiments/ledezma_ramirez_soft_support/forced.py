@@ -37,8 +37,8 @@ class Forced(NamedTuple):
 
     force: float
     """As the paper gives it, N."""
-    history: vj.History
-    spectrum: vj.Spectrum
+    history: vj.history.History
+    spectrum: vj.history.Spectrum
 
 
 def run(
@@ -73,7 +73,7 @@ def run(
     return runs, {name: round(value, 2) for name, value in took.items()}
 
 
-def spectrum_of(history: vj.History, averages: int) -> vj.Spectrum:
+def spectrum_of(history: vj.history.History, averages: int) -> vj.history.Spectrum:
     return history.spectrum(
         "acceleration",
         start=START,
@@ -87,7 +87,7 @@ def spectrum_of(history: vj.History, averages: int) -> vj.Spectrum:
     )
 
 
-def steady(history: vj.History) -> vj.History:
+def steady(history: vj.history.History) -> vj.history.History:
     end = float(history.time[-1])
     return part(history, end - STEADY, end)
 
@@ -120,12 +120,12 @@ def table(runs: list[Forced]) -> list[dict]:
     return rows
 
 
-def line(spectrum: vj.Spectrum, order: int) -> float:
+def line(spectrum: vj.history.Spectrum, order: int) -> float:
     """Return the amplitude at a multiple of the drive, g."""
     return float(spectrum.amplitude[round(order * FORCE_FREQUENCY * spectrum.segment)])
 
 
-def share_in_multiples(spectrum: vj.Spectrum) -> float:
+def share_in_multiples(spectrum: vj.history.Spectrum) -> float:
     """Return the share of the power that lies within one and a half lines of multiples of 16 Hz."""
     off = np.abs(spectrum.frequency / FORCE_FREQUENCY - np.round(spectrum.frequency / 16))
     near = off * FORCE_FREQUENCY <= 1.5 * spectrum.resolution
@@ -165,7 +165,7 @@ def twelve_newtons(dampings: list[float], duration: float = 16.0) -> dict[str, d
     return found
 
 
-def table_of_energy(energy: vj.EnergyFlow) -> dict:
+def table_of_energy(energy: vj.history.EnergyFlow) -> dict:
     """Energy of a forced run: where it is and where it goes, from START on."""
     after = energy.time >= START
     length = energy.time[-1] - energy.time[after][0]

@@ -26,14 +26,14 @@ class Release(NamedTuple):
     """One release and what is read off it."""
 
     height: float
-    history: vj.History
-    contacts: vj.Contacts
-    spectrum: vj.Spectrum
+    history: vj.history.History
+    contacts: vj.history.Contacts
+    spectrum: vj.history.Spectrum
     peak_acceleration: float
     """g, after the start."""
 
 
-def releases() -> tuple[list[Release], dict[str, vj.EnergyFlow]]:
+def releases() -> tuple[list[Release], dict[str, vj.history.EnergyFlow]]:
     """Return the seven releases, and the energies of the last with and without the support."""
     histories = vj.simulate_each(
         rig.released_rig(),
@@ -120,7 +120,7 @@ def rubber_laws(loss: float) -> dict:
     return found
 
 
-def _first_loss(history: vj.History) -> float:
+def _first_loss(history: vj.history.History) -> float:
     """Return the work of the first contact on the beam, J, off samples: its force has no jump."""
     power = np.asarray(history.quantity("contact_force") * history.velocity())
     touching = np.flatnonzero(power)
@@ -157,7 +157,7 @@ def against_modes(counts: list[int], rubber: dict) -> dict[str, dict[str, list[f
     return table
 
 
-def _peaks(history: vj.History) -> dict[str, float]:
+def _peaks(history: vj.history.History) -> dict[str, float]:
     """Peaks during the first contact, and over the record as the analyser sees it.
 
     Read off the samples, which are close enough that a peak just after a touch is within 0.1 %.
@@ -179,13 +179,13 @@ def _peaks(history: vj.History) -> dict[str, float]:
     }
 
 
-def decay_time(energy: vj.EnergyFlow, share: float) -> float:
+def decay_time(energy: vj.history.EnergyFlow, share: float) -> float:
     """When no more than a share of the first energy is left, s; NaN if that is not reached."""
     left = energy.total / energy.total[0]
     return float(energy.time[np.argmax(left <= share)]) if (left <= share).any() else float("nan")
 
 
-def table_of_energies(found: dict[str, vj.EnergyFlow]) -> dict[str, dict]:
+def table_of_energies(found: dict[str, vj.history.EnergyFlow]) -> dict[str, dict]:
     table = {}
     for name, energy in found.items():
         higher = energy.share[:, 1:].sum(axis=1)

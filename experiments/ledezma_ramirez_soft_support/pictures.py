@@ -190,7 +190,9 @@ def draw_spectra(runs, tables: dict, path: Path) -> None:
     _save(figure, path)
 
 
-def draw_receptance(curve: vj.FrequencyResponse, rest, forces: list[float], path: Path) -> None:
+def draw_receptance(
+    curve: vj.sweep.FrequencyResponse, rest, forces: list[float], path: Path
+) -> None:
     figure, axes = _figure(1, 2, 16, 8.2, sharey=True)
     fixed, swept = axes[0]
     fine = np.linspace(10, 25, 1501)
@@ -237,7 +239,9 @@ def draw_receptance(curve: vj.FrequencyResponse, rest, forces: list[float], path
     _save(figure, path)
 
 
-def draw_energy(energies: dict[str, vj.EnergyFlow], driven: vj.EnergyFlow, path: Path) -> None:
+def draw_energy(
+    energies: dict[str, vj.history.EnergyFlow], driven: vj.history.EnergyFlow, path: Path
+) -> None:
     figure, axes = _figure(2, 2, 15, 10)
     shares, totals, losses, forced = axes.flat
     with_stop, without = energies["with"], energies["without"]
@@ -265,7 +269,7 @@ def draw_energy(energies: dict[str, vj.EnergyFlow], driven: vj.EnergyFlow, path:
     _save(figure, path)
 
 
-def _shares(panel, energy: vj.EnergyFlow, start: float, end: float, title: str) -> None:
+def _shares(panel, energy: vj.history.EnergyFlow, start: float, end: float, title: str) -> None:
     inside = (energy.time >= start) & (energy.time <= end)
     for m in range(energy.share.shape[1]):
         share = np.maximum(energy.share[inside, m], 1e-7)

@@ -9,7 +9,7 @@ from scipy.signal import firwin
 import vibrojax as vj
 
 
-def part(history: vj.History, start: float, end: float) -> vj.History:
+def part(history: vj.history.History, start: float, end: float) -> vj.history.History:
     """Return the samples of a history between two times, s."""
     time = np.asarray(history.time)
     inside = slice(*np.searchsorted(time, [start - 1e-9, end + 1e-9]))
@@ -17,11 +17,11 @@ def part(history: vj.History, start: float, end: float) -> vj.History:
     return dataclasses.replace(history, **{name: getattr(history, name)[inside] for name in names})
 
 
-def peak_in_g(history: vj.History, start: float = 0.0) -> float:
+def peak_in_g(history: vj.history.History, start: float = 0.0) -> float:
     return abs(history.peak("acceleration", start=start).value) / GRAVITY
 
 
-def through_analyser(history: vj.History, span: float = 500.0) -> np.ndarray:
+def through_analyser(history: vj.history.History, span: float = 500.0) -> np.ndarray:
     """Return the tip acceleration, g, as an analyser of this span (Hz) sees it.
 
     Its filter passes the span and stops what lies above 1.56 times it, where its samples (2.56 per
@@ -33,7 +33,7 @@ def through_analyser(history: vj.History, span: float = 500.0) -> np.ndarray:
     return np.convolve(acceleration, firwin(taps, 1.28 * span, fs=rate), "same")[: -(taps // 2)]
 
 
-def period(history: vj.History, samples: int, longest: int = 8) -> int:
+def period(history: vj.history.History, samples: int, longest: int = 8) -> int:
     """Return the period in drive periods of so many samples, 0 where there is none."""
     states = np.concatenate([history.coordinates[:, :2], history.rates[:, :2] / 100], axis=1)
     size = np.abs(states).max()

@@ -25,7 +25,9 @@ class FromRest(NamedTuple):
     """Whether there is contact during the last seconds."""
 
 
-def sweep(forces: list[float], frequency: np.ndarray, max_periods: int) -> vj.FrequencyResponse:
+def sweep(
+    forces: list[float], frequency: np.ndarray, max_periods: int
+) -> vj.sweep.FrequencyResponse:
     """Sweep both ways at every force, N rms."""
     amplitudes = [float(np.sqrt(2.0)) * force for force in forces]
     return vj.frequency_sweep(
@@ -86,7 +88,7 @@ def peak_and_width(frequency: np.ndarray, values: np.ndarray) -> dict[str, float
     }
 
 
-def table(curve: vj.FrequencyResponse, rest: FromRest, forces: list[float]) -> list[dict]:
+def table(curve: vj.sweep.FrequencyResponse, rest: FromRest, forces: list[float]) -> list[dict]:
     rows = []
     for k, force in enumerate(forces):
         row: dict = {"force_rms_N": force}

@@ -41,7 +41,9 @@ def beam(*point_masses: vj.PointMass) -> vj.Cantilever:
     )
 
 
-def stopped_by(law: vj.AbstractContactLaw, num_modes: int = 5, gap=GAP, **more) -> vj.ImpactingBeam:
+def stopped_by(
+    law: vj.model.AbstractContactLaw, num_modes: int = 5, gap=GAP, **more
+) -> vj.ImpactingBeam:
     """Return the rig with a support of this contact law below its tip."""
     stop = vj.Stop(position=1.0, gap=gap, law=law, side=-1)
     return vj.ImpactingBeam(beam(), stop, damping_ratio=DAMPING_RATIO, num_modes=num_modes, **more)

@@ -10,7 +10,9 @@ import vibrojax as vj
 UNITS = {"angle": "rad", "rate": "rad/s"}
 
 
-def run(frequency: float, count: int, transient: int = 150, **numbers) -> tuple[vj.Basins, dict]:
+def run(
+    frequency: float, count: int, transient: int = 150, **numbers
+) -> tuple[vj.regime.Basins, dict]:
     """Return the basins on a grid of count by count starts."""
     system = modal(**numbers)
     straight = np.asarray(system.modal_coordinates(np.ones(LINKS)))

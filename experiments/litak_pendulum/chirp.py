@@ -12,7 +12,7 @@ HYSTERESIS = 0.3 * 0.006 / 0.04
 EDGES = np.arange(3.5, 9.01, 0.5)
 
 
-def run(starts: int = 12) -> tuple[vj.Histories, dict]:
+def run(starts: int = 12) -> tuple[vj.history.Histories, dict]:
     """Return the histories from random starts, and what is read off them."""
     states = full_starts(starts, seed=1)
     histories = vj.simulate_each(
@@ -69,7 +69,7 @@ def run(starts: int = 12) -> tuple[vj.Histories, dict]:
     }
 
 
-def _cycle_at(cycles: vj.Cycles, history: int, time: float) -> float | None:
+def _cycle_at(cycles: vj.history.Cycles, history: int, time: float) -> float | None:
     """Return the length, in drive periods, of the cycle of a history that a time is in."""
     own = (cycles.history == history) & (cycles.start <= time)
     own &= time < cycles.start + cycles.length

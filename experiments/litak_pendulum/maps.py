@@ -9,7 +9,7 @@ AMPLITUDES = (3e-3, 10e-3)
 """m, first and last of the map."""
 
 
-def regime_map(frequencies: int, amplitudes: int, periods: int) -> tuple[vj.Regimes, dict]:
+def regime_map(frequencies: int, amplitudes: int, periods: int) -> tuple[vj.regime.Regimes, dict]:
     """Return the regimes over frequency and base amplitude, from one start."""
     found = vj.regimes(
         modal,
@@ -33,7 +33,9 @@ def regime_map(frequencies: int, amplitudes: int, periods: int) -> tuple[vj.Regi
     }
 
 
-def bifurcation(values: int, transient: int, periods: int) -> tuple[vj.BifurcationDiagram, dict]:
+def bifurcation(
+    values: int, transient: int, periods: int
+) -> tuple[vj.regime.BifurcationDiagram, dict]:
     """Carry the motion along the frequency, up and down."""
     start = modal_starts(1, seed=3)[0]
     common = {name: MARCHED[name] for name in ("tolerance", "samples_per_period", "method")}

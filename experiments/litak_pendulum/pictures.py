@@ -67,7 +67,7 @@ def draw_potential(found: dict, path: Path) -> None:
     save(figure, path)
 
 
-def draw_chirp(history: vj.History, path: Path) -> None:
+def draw_chirp(history: vj.history.History, path: Path) -> None:
     save(history.plot_chirp(), path)
 
 
@@ -100,7 +100,7 @@ def draw_cycles(found: dict, reference: dict | None, path: Path) -> None:
     save(figure, path)
 
 
-def draw_waveforms(histories: vj.Histories, found: dict, path: Path) -> None:
+def draw_waveforms(histories: vj.history.Histories, found: dict, path: Path) -> None:
     figure, axes = _figure(5, 1, 12, 13)
     links = found["links"]
     for k, (frequency, panel) in enumerate(zip(FREQUENCIES, axes[:, 0], strict=True)):
@@ -169,7 +169,7 @@ def draw_map(found: dict, path: Path) -> None:
     save(figure, path)
 
 
-def draw_bifurcation(diagram: vj.BifurcationDiagram, path: Path) -> None:
+def draw_bifurcation(diagram: vj.regime.BifurcationDiagram, path: Path) -> None:
     figure, axes = _figure(2, 1, 11, 8.5, sharex=True, height_ratios=(2, 1))
     upper, lower = axes[:, 0]
     x = np.asarray(diagram.values)
@@ -216,7 +216,7 @@ def draw_energies(found: dict, path: Path) -> None:
     save(figure, path)
 
 
-def draw_basins(found: vj.Basins, path: Path) -> None:
+def draw_basins(found: vj.regime.Basins, path: Path) -> None:
     save(found.plot(), path)
 
 

@@ -184,7 +184,7 @@ def agreement(frequencies: int, starts: int, periods: int) -> dict:
     links = vj.regimes(vj.default_pendulum(), starts=full_starts(starts, seed=9), **common)
     modes = vj.regimes(modal(), starts=modal_starts(starts, seed=9), **common)
 
-    def most(found: vj.Regimes) -> list[int]:
+    def most(found: vj.regime.Regimes) -> list[int]:
         """Period that most starts come to, multiples of 3 as 3."""
         period = np.where(found.period % 3 == 0, np.minimum(found.period, 3), found.period)
         return [int(np.bincount(column).argmax()) for column in period.T]

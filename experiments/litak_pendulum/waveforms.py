@@ -10,7 +10,9 @@ SHOWN = 15
 """Drive periods drawn."""
 
 
-def run(starts: int = 3, settled: int = 120, lyapunov: bool = True) -> tuple[vj.Histories, dict]:
+def run(
+    starts: int = 3, settled: int = 120, lyapunov: bool = True
+) -> tuple[vj.history.Histories, dict]:
     """Return a history at each frequency, and the regimes from several starts."""
     states = full_starts(starts, seed=2)
     histories = vj.simulate_each(
@@ -33,7 +35,7 @@ def run(starts: int = 3, settled: int = 120, lyapunov: bool = True) -> tuple[vj.
     }
 
 
-def table(found: vj.Regimes) -> dict:
+def table(found: vj.regime.Regimes) -> dict:
     """Period, kind, exponent and bending at every frequency, from every start."""
     return {
         "frequency_Hz": np.asarray(found.frequencies).tolist(),

@@ -44,8 +44,8 @@ SHOWN = {"unstable: beyond doubling": None, "stable": 0.635, "unstable: beyond t
 class Found(NamedTuple):
     """What the continuation gave."""
 
-    branch: vj.Branch
-    doubled: vj.Branch
+    branch: vj.branches.Branch
+    doubled: vj.branches.Branch
     rows: list[common.Row]
     stable: dict[str, bool]
     """Stability at the points of the published example."""
@@ -77,7 +77,7 @@ def free_a2(w: float) -> float:
     return float(FORCE * np.abs(receptance[1, 1]))
 
 
-def doubled_branch(branch: vj.Branch) -> vj.Branch:
+def doubled_branch(branch: vj.branches.Branch) -> vj.branches.Branch:
     """Motions of twice the period, from the first period doubling that they can be traced from."""
     doubled = [
         branch.switch(k, longest_step=STEP) for k in reversed(range(len(branch.period_doublings)))
@@ -157,7 +157,7 @@ def draw(found: Found, path: Path) -> None:
     plt.close(figure)
 
 
-def as_data(branch: vj.Branch) -> dict[str, Any]:
+def as_data(branch: vj.branches.Branch) -> dict[str, Any]:
     """A branch as plain lists, in the units of the example."""
     points = [
         {"kind": p.kind, "w": round(p.parameter * UNIT, 9), "contact_force": p.contact_force}

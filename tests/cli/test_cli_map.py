@@ -234,7 +234,7 @@ def test_interrupted(capsys, asked):
 
 
 def test_a_full_disk(capsys, asked):
-    asked["answer"] = vj.StoreFull(28, "The disk of the store is full")
+    asked["answer"] = vj.maps.StoreFull(28, "The disk of the store is full")
     assert run("map", "--axis", "gap=1e-4,2e-4") == 1
     assert capsys.readouterr().err == (
         "vibrojax: the disk is full. Whole chunks stay: make room, and the same command "
@@ -383,8 +383,8 @@ def test_help(capsys):
 
 
 def test_a_rig_file_may_carry_a_map(folder):
-    system, settings = vj.read_rig("map.toml")
-    assert repr(system) == repr(vj.read_rig("rig.toml")[0])
+    system, settings = vj.io.read_rig("map.toml")
+    assert repr(system) == repr(vj.io.read_rig("rig.toml")[0])
     assert settings.keys() == {"frequency"}
     assert read_map("rig.toml") == {}
     with pytest.raises(ValueError, match=r"^Rig file 'no.toml' does not exist"):

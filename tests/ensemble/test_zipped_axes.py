@@ -122,7 +122,7 @@ def test_branches_of_a_group():
     drawn(found.plot())
     stiffness = np.array([4e3, 5e3])
     many = [replace(b, labels=b.labels | {"stiffness": k}) for b in found for k in stiffness]
-    crossed = vj.Branches(found.axes | {"stiffness": stiffness}, tuple(many)).to_xarray()
+    crossed = vj.branches.Branches(found.axes | {"stiffness": stiffness}, tuple(many)).to_xarray()
     assert crossed.status.dims == ("taper_gap", "stiffness")
     assert crossed.gap.dims == ("taper_gap",)
     picked = crossed.isel(taper_gap=1, stiffness=0).amplitude_ratio.dropna("point")

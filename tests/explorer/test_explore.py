@@ -172,7 +172,7 @@ def test_in_a_kernel_there_are_widgets(explorer, monkeypatch):
 
 
 def test_measured_points_are_laid_over():
-    measured = vj.MeasuredCurve(
+    measured = vj.io.MeasuredCurve(
         frequency=np.linspace(0.9, 1.25, 8),
         frequency_name="frequency_ratio",
         amplitude=np.linspace(5.0, 30.0, 8),

@@ -36,7 +36,9 @@ def made(oscillator):
         q, v = move(time)[:, None], rate(time)[:, None]
         none = jnp.zeros((samples, 0))
         a = jnp.zeros_like(q)
-        return vj.History(oscillator, run, time, q, v, a, none, none, jnp.asarray(status.value))
+        return vj.history.History(
+            oscillator, run, time, q, v, a, none, none, jnp.asarray(status.value)
+        )
 
     return history
 
@@ -103,7 +105,7 @@ def test_level_and_position_of_cycles(made):
 
 def test_statistics_by_frequency(made):
     third, fifth = made(*turns(3)).cycles(), made(*turns(5)).cycles()
-    pooled = vj.Cycles.pooled([third, fifth])
+    pooled = vj.history.Cycles.pooled([third, fifth])
     assert len(pooled) == len(third) + len(fifth)
     np.testing.assert_array_equal(np.unique(pooled.history), [1, 2])
     edges = [2.0, 4.0, 6.0, 7.0]
@@ -163,9 +165,9 @@ def test_refusals(made):
     with pytest.raises(ValueError, match="status is diverged"):
         made(*turns(3), status=vj.Status.diverged).cycles()
     with pytest.raises(ValueError, match="list of at least one Cycles"):
-        vj.Cycles.pooled([])
+        vj.history.Cycles.pooled([])
     with pytest.raises(ValueError, match="different quantity"):
-        vj.Cycles.pooled([history.cycles(), history.cycles("velocity")])
+        vj.history.Cycles.pooled([history.cycles(), history.cycles("velocity")])
     with pytest.raises(ValueError, match="quantity must be one of"):
         history.plot_chirp("speed")
 
@@ -173,7 +175,7 @@ def test_refusals(made):
 def test_diverged_histories_are_left_out_and_counted(made):
     parts = [made(*turns(3)), made(*turns(5), status=vj.Status.diverged), made(*turns(2))]
     lanes = jax.tree.map(lambda *a: jnp.stack(a), *parts)
-    found = vj.Histories({"start": np.arange(1, 4)}, lanes).cycles()
+    found = vj.history.Histories({"start": np.arange(1, 4)}, lanes).cycles()
     np.testing.assert_array_equal(np.unique(found.history), [1, 3])
     assert found.left_out == 1
     np.testing.assert_allclose(found.drive_periods[found.history == 3], 2.0, atol=2e-6)

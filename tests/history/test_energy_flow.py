@@ -159,7 +159,7 @@ def test_rounded_corners_close_too():
 
 def test_shares_and_the_dataset():
     energy = released({"c1": 10.0, "x0": 0.01}).energy()
-    assert isinstance(energy, vj.EnergyFlow)
+    assert isinstance(energy, vj.history.EnergyFlow)
     mean = energy.mean_share(0.01, 0.02)
     assert mean.shape == (5,)
     assert mean.sum() == pytest.approx(1.0)

@@ -12,10 +12,10 @@ FREQUENCY = 3.0
 
 def history_of(equations, system, waveform, q, v, a, time):
     drive = vj.PointForce(1.0)
-    run = vj.Motion(equations, drive, waveform)
+    run = vj.model.Motion(equations, drive, waveform)
     none = jnp.zeros((len(time), 0))
     status = jnp.asarray(vj.Status.completed.value)
-    return vj.History(system, run, time, q, v, a, none, none, status)
+    return vj.history.History(system, run, time, q, v, a, none, none, status)
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_refusals(oscillator):
         sine(free, 2, vj.Harmonic(FREQUENCY)).poincare()
 
 
-class Swing(vj.AbstractEquations):
+class Swing(vj.model.AbstractEquations):
     """A mass on a rigid rod of 0.5 m: its coordinate is an angle, its place is not linear in it."""
 
     stops: tuple[vj.Stop, ...] = ()

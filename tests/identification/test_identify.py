@@ -35,7 +35,7 @@ def measured(seed=0, *, name, noise=0.02, **facts):
     ratio, amplitude, direction = listed(name)
     deviation = np.hypot(noise * amplitude, 0.05)
     scatter = deviation * np.random.default_rng(seed).standard_normal(ratio.size)
-    return vj.MeasuredCurve(
+    return vj.io.MeasuredCurve(
         ratio,
         "frequency_ratio",
         amplitude=np.abs(amplitude + scatter),
@@ -109,6 +109,7 @@ def test_residuals_are_distances_over_the_deviation(fit):
         fit.residuals("up")
 
 
+@pytest.mark.slow
 def test_the_derivative_of_the_misfit(make, name):
     data = measured(name=name)
     misfit = CurveMisfit(make, ("stiffness", "damping"), {}, {}, [data])
@@ -135,6 +136,7 @@ def test_the_derivative_of_the_misfit(make, name):
     assert np.isfinite(derivative).all()
 
 
+@pytest.mark.slow
 def test_an_early_jump_biases_nothing_and_is_named(make, name):
     data = measured(3, name=name)
     amplitude = data.amplitude.copy()
@@ -149,7 +151,7 @@ def test_an_early_jump_biases_nothing_and_is_named(make, name):
     for k in forward[last - 3 : last]:
         amplitude[k] = backward[data.frequency[k]]
     deviation = np.hypot(0.02 * amplitude, 0.05)
-    early = vj.MeasuredCurve(
+    early = vj.io.MeasuredCurve(
         data.frequency,
         "frequency_ratio",
         amplitude=amplitude,
@@ -204,10 +206,10 @@ def test_shared_and_private_numbers(make, name):
 def test_the_posterior_agrees_with_the_interval(make, name):
     pytest.importorskip("blackjax")
     strong = vj.frequency_sweep(make(damping=2.0), frequency_ratio=np.linspace(0.85, 1.31, 50))
-    data = vj.read_measured_curve(strong.to_xarray())
+    data = vj.io.read_measured_curve(strong.to_xarray())
     deviation = np.hypot(0.02 * data.amplitude, 0.05)
     scatter = deviation * np.random.default_rng(1).standard_normal(data.size)
-    noisy = vj.MeasuredCurve(
+    noisy = vj.io.MeasuredCurve(
         data.frequency,
         "frequency_ratio",
         amplitude=data.amplitude + scatter,
@@ -236,12 +238,52 @@ def test_optax_and_the_other_objectives(make, name, fit):
         make,
         measured(name=name),
         dict(stiffness=5000.0),
-        search=vj.Optax(optax.adam(0.02), steps=60),
+        search=vj.identification.Optax(optax.adam(0.02), steps=60),
     )
     assert adam.estimate["stiffness"] == pytest.approx(fit.estimate["stiffness"], rel=0.01)
     for objective in ("pointwise", "folds"):
         other = vj.identify(make, measured(name=name), GUESS, objective=objective)
         assert other.estimate["stiffness"] == pytest.approx(5500, rel=0.04)
+
+
+@pytest.fixture(scope="module")
+def one_mode(rig):
+    """Maker of a rig with one mode, and a noisy sweep of it."""
+
+    def make(stiffness=5500.0):
+        return rig(stiffness=stiffness, num_modes=1)
+
+    swept = vj.frequency_sweep(make(), frequency_ratio=np.linspace(0.85, 1.45, 40))
+    data = vj.read_measured_curve(swept.to_xarray())
+    deviation = np.hypot(0.02 * data.amplitude, 0.05)
+    scatter = deviation * np.random.default_rng(2).standard_normal(data.size)
+    noisy = vj.MeasuredCurve(
+        data.frequency,
+        "frequency_ratio",
+        amplitude=np.abs(data.amplitude + scatter),
+        amplitude_deviation=deviation,
+        direction=data.direction,
+    )
+    return make, noisy
+
+
+@pytest.mark.slow
+def test_every_objective_and_search_on_one_mode(one_mode):
+    adam = vj.Optax(optax.adam(0.02), steps=60)
+    for more in ({"objective": "pointwise"}, {"objective": "folds"}, {"search": adam}):
+        fit = vj.identify(*one_mode, dict(stiffness=5000.0), **more)
+        assert fit.estimate["stiffness"] == pytest.approx(5500, rel=0.04), more
+
+
+@pytest.mark.slow
+def test_profile_and_posterior_agree_with_the_interval_on_one_mode(one_mode):
+    pytest.importorskip("blackjax")
+    fit = vj.identify(*one_mode, dict(stiffness=5000.0))
+    low, high = fit.interval["stiffness"]
+    assert low < 5500 < high
+    near = 0.25 * (high - low)
+    np.testing.assert_allclose(fit.profile("stiffness").interval, (low, high), atol=near)
+    np.testing.assert_allclose(fit.sample(1000).interval["stiffness"], (low, high), atol=near)
 
 
 def test_what_it_refuses(make, name):
@@ -255,10 +297,10 @@ def test_what_it_refuses(make, name):
     with pytest.raises(ValueError, match="fewer measured points"):
         vj.identify(
             make,
-            vj.MeasuredCurve(np.array([1.0]), "frequency_ratio", amplitude=np.array([9.0])),
+            vj.io.MeasuredCurve(np.array([1.0]), "frequency_ratio", amplitude=np.array([9.0])),
             GUESS,
         )
-    hertz = vj.MeasuredCurve(
+    hertz = vj.io.MeasuredCurve(
         data.frequency * 1e4, "frequency", amplitude=data.amplitude, direction=data.direction
     )
     with pytest.raises(ValueError, match="do not overlap"):
@@ -271,7 +313,7 @@ def test_a_curve_without_contact_is_refused(make):
     free = vj.continue_response(make(gap=0.4e-3), frequency_ratio=(0.3, 0.5))
     assert free.contact_force.max() == 0
     ratio = np.linspace(0.3, 0.5, 20)
-    data = vj.MeasuredCurve(
+    data = vj.io.MeasuredCurve(
         ratio,
         "frequency_ratio",
         amplitude=np.interp(ratio, free.values, free.amplitude_ratio),

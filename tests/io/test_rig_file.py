@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -48,7 +49,7 @@ def same(a, b):
 
 
 def test_default_rig_from_a_file(tmp_path, rig):
-    system, settings = vj.read_rig(write(tmp_path, DEFAULT))
+    system, settings = vj.io.read_rig(write(tmp_path, DEFAULT))
     assert same(system, vj.default_rig())
     assert same(system, rig())
     assert settings.keys() == {"frequency_ratio"}
@@ -65,7 +66,7 @@ def test_default_rig_takes_every_number_by_name():
 
 
 def test_example_has_every_part():
-    system, settings = vj.read_rig(EXAMPLE)
+    system, settings = vj.io.read_rig(EXAMPLE)
     assert [stop.side for stop in system.stops] == [1, -1]
     assert [stop.gap for stop in system.stops] == [0.5e-3, 0.7e-3]
     assert not any(stop.law.tension for stop in system.stops)
@@ -106,41 +107,41 @@ def test_contact_laws_by_name(tmp_path, numbers, law):
     start = DEFAULT.index("[[stop]]")
     end = DEFAULT.index("[drive]")
     stop = f"[[stop]]\nposition = 0.5\ngap = 1e-3\n{numbers}\n"
-    system, _ = vj.read_rig(write(tmp_path, DEFAULT[:start] + stop + DEFAULT[end:]))
+    system, _ = vj.io.read_rig(write(tmp_path, DEFAULT[:start] + stop + DEFAULT[end:]))
     assert same(system.stops[0].law, law)
     wrong = stop + "damping = 1.0\n"
     with pytest.raises(ValueError, match=r"unknown key 'damping' in \[\[stop\]\]"):
-        vj.read_rig(write(tmp_path, DEFAULT[:start] + wrong + DEFAULT[end:]))
+        vj.io.read_rig(write(tmp_path, DEFAULT[:start] + wrong + DEFAULT[end:]))
     unknown = stop.replace(numbers, 'law = "rubber"\nstiffness = 1.0')
     with pytest.raises(ValueError, match=r"\[\[stop\]\] law must be one of 'kelvin_voigt'"):
-        vj.read_rig(write(tmp_path, DEFAULT[:start] + unknown + DEFAULT[end:]))
+        vj.io.read_rig(write(tmp_path, DEFAULT[:start] + unknown + DEFAULT[end:]))
 
 
 def test_point_masses(tmp_path):
     masses = "[[beam.point_masses]]\nmass = 2e-3\n[[beam.point_masses]]\nmass = 0\nposition = 0.2\n"
-    system, _ = vj.read_rig(write(tmp_path, DEFAULT.replace("[[stop]]", masses + "[[stop]]", 1)))
+    system, _ = vj.io.read_rig(write(tmp_path, DEFAULT.replace("[[stop]]", masses + "[[stop]]", 1)))
     first, second = system.beam.point_masses
     assert (first.mass, first.position, second.position) == (2e-3, 1.0, 0.2)
     wrong = masses.replace("2e-3", "-1")
     with pytest.raises(ValueError, match=r"\[\[beam.point_masses\]\] mass must be at least 0"):
-        vj.read_rig(write(tmp_path, DEFAULT.replace("[[stop]]", wrong + "[[stop]]", 1)))
+        vj.io.read_rig(write(tmp_path, DEFAULT.replace("[[stop]]", wrong + "[[stop]]", 1)))
     with pytest.raises(ValueError, match=r"point_masses must be one or more tables"):
-        vj.read_rig(write(tmp_path, DEFAULT.replace("[beam]", "[beam]\npoint_masses = 3", 1)))
+        vj.io.read_rig(write(tmp_path, DEFAULT.replace("[beam]", "[beam]\npoint_masses = 3", 1)))
 
 
 def test_point_force_and_no_stop(tmp_path):
     text = DEFAULT.replace('"base_motion"', '"point_force"\nposition = 0.35')
     text = text[: text.index("[[stop]]")] + text[text.index("[drive]") :]
-    system, _ = vj.read_rig(write(tmp_path, text))
+    system, _ = vj.io.read_rig(write(tmp_path, text))
     assert isinstance(system.drive, vj.PointForce)
     assert (system.drive.position, system.stops) == (0.35, ())
 
 
 def test_settings_go_into_a_sweep(tmp_path):
     more = 'direction = "both"\nrefine_jumps = false\nmax_period = 8\nmax_periods = 50\n'
-    system, settings = vj.read_rig(write(tmp_path, DEFAULT + more))
+    system, settings = vj.io.read_rig(write(tmp_path, DEFAULT + more))
     assert settings["refine_jumps"] is None
-    response = vj.frequency_sweep(system, **settings)
+    response = vj.frequency_sweep(replace(system, num_modes=1), **settings)
     assert response.amplitude_ratio.shape == (2, 4)
 
 
@@ -214,7 +215,7 @@ def test_wrong_files(tmp_path, old, new, sentence):
     assert old in DEFAULT
     path = write(tmp_path, DEFAULT.replace(old, new, 1))
     with pytest.raises(ValueError, match=sentence) as caught:
-        vj.read_rig(path)
+        vj.io.read_rig(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -222,14 +223,14 @@ def test_wrong_files(tmp_path, old, new, sentence):
 def test_second_stop_is_named(tmp_path):
     stop = "[[stop]]\nposition = 0.5\ngap = -1.0\nstiffness = 1\n"
     with pytest.raises(ValueError, match=r"\[\[stop\]\] 2: gap must be at least 0"):
-        vj.read_rig(write(tmp_path, DEFAULT.replace("[drive]", stop + "[drive]")))
+        vj.io.read_rig(write(tmp_path, DEFAULT.replace("[drive]", stop + "[drive]")))
 
 
 def test_no_such_file(tmp_path):
     with pytest.raises(ValueError, match=r"nothing\.toml' does not exist"):
-        vj.read_rig(tmp_path / "nothing.toml")
+        vj.io.read_rig(tmp_path / "nothing.toml")
     with pytest.raises(ValueError, match="is a folder"):
-        vj.read_rig(tmp_path)
+        vj.io.read_rig(tmp_path)
 
 
 @pytest.mark.parametrize("path", [None, 3, b"rig.toml", ["rig.toml"], "", "x\0"])
@@ -239,21 +240,21 @@ def test_what_is_no_path(path):
 
 
 def test_a_file_with_a_byte_order_mark_and_one_too_large(tmp_path):
-    system, _ = vj.read_rig(write(tmp_path, "\ufeff" + DEFAULT))
+    system, _ = vj.io.read_rig(write(tmp_path, "\ufeff" + DEFAULT))
     assert same(system, vj.default_rig())
     with pytest.raises(ValueError, match=r"is too large: 11 MB, at most 10 MB\."):
-        vj.read_rig(write(tmp_path, "#" * 11_000_000))
+        vj.io.read_rig(write(tmp_path, "#" * 11_000_000))
 
 
 def test_not_text(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_bytes(bytes(range(128, 256)))
     with pytest.raises(ValueError, match="is not TOML"):
-        vj.read_rig(path)
+        vj.io.read_rig(path)
 
 
 def test_without_a_drive_there_are_still_modes(tmp_path):
     text = DEFAULT[: DEFAULT.index("[drive]")] + DEFAULT[DEFAULT.index("[model]") :]
-    system, _ = vj.read_rig(write(tmp_path, text))
+    system, _ = vj.io.read_rig(write(tmp_path, text))
     assert isinstance(system.drive, vj.NoDrive)
     assert math.isclose(system.modes().frequency[0], 9.210324, rel_tol=1e-6)

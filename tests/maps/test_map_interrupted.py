@@ -209,8 +209,8 @@ def cluster(monkeypatch, environment):
 
 
 @pytest.mark.slow
-@pytest.mark.long  # to compile
-def test_workers_of_a_cluster_may_be_killed(tmp_path, cluster, whole):
+@pytest.mark.parametrize("deaths", [0, pytest.param(4, marks=pytest.mark.long)])
+def test_workers_of_a_cluster_may_be_killed(tmp_path, cluster, whole, deaths):
     from distributed import Client
 
     choice = random.Random(3)
@@ -218,7 +218,7 @@ def test_workers_of_a_cluster_may_be_killed(tmp_path, cluster, whole):
     kills = []
 
     def kill():
-        for _ in range(4):
+        for _ in range(deaths):
             least = chunks_in(store) + choice.randint(0, 2)
             while chunks_in(store) <= least:
                 time.sleep(1e-3)
@@ -232,7 +232,7 @@ def test_workers_of_a_cluster_may_be_killed(tmp_path, cluster, whole):
     with Client(cluster) as client:
         killer.start()
         make_map(store, LANES, client=client)
-    assert len(set(kills)) >= 3
+    assert len(set(kills)) >= min(deaths, 3)
     assert_same_store(store, whole)
 
 
@@ -375,7 +375,9 @@ def test_a_full_disk_is_said_and_no_harm_wherever_it_happens(tmp_path, full_disk
         store = tmp_path / f"{k}"
         # Attributes are written more than once, so that all of this is too little.
         full_disk(int(part * size))
-        with pytest.raises(vj.StoreFull, match=r"disk of the store is full.*same call") as told:
+        with pytest.raises(
+            vj.maps.StoreFull, match=r"disk of the store is full.*same call"
+        ) as told:
             small_map(store, keep_curves=True)
         assert told.value.errno == errno.ENOSPC
         assert told.value.__suppress_context__  # one sentence, not a tale of Zarr's
@@ -415,7 +417,7 @@ def test_a_disk_that_is_really_full(tmp_path, small_disk):
     shutil.move(whole, whole := tmp_path / "whole")
     for part in (0.1, 0.6, 0.8):
         ballast.write_bytes(bytes(int(free(small_disk) - part * taken)))
-        with pytest.raises(vj.StoreFull, match="disk of the store is full"):
+        with pytest.raises(vj.maps.StoreFull, match="disk of the store is full"):
             small_map(store, keep_curves=True)
         ballast.unlink()
         small_map(store, keep_curves=True)

@@ -28,7 +28,7 @@ from pathlib import Path
 from vibrojax.maps.lock import held
 with held(Path(sys.argv[1]), "map"):
     print("held", flush=True)
-    time.sleep(60)
+    time.sleep(3600)  # until it is killed
 """
 
 
@@ -64,7 +64,7 @@ def holder(tmp_path):
 
 def test_the_second_process_says_who_has_the_store(tmp_path, holder, computing):
     told = rf"map' is being written by process {holder.pid} on \S+, since 20.*repeat the same call"
-    with pytest.raises(vj.StoreInUse, match=told) as error:
+    with pytest.raises(vj.maps.StoreInUse, match=told) as error:
         small_map(tmp_path / "map")
     assert error.value.__suppress_context__
     assert error.value.errno == errno.EBUSY
@@ -101,7 +101,7 @@ def test_a_second_thread_is_refused_too(tmp_path):
     thread.start()
     try:
         assert inside.wait(120)
-        with pytest.raises(vj.StoreInUse, match=f"process {os.getpid()} on"):
+        with pytest.raises(vj.maps.StoreInUse, match=f"process {os.getpid()} on"):
             small_map(tmp_path / "map", measures=wait)
         with xarray.open_zarr(tmp_path / "map") as found:  # reading is for all
             assert (found["lane_status"] == 4).all()
@@ -129,7 +129,7 @@ def test_of_many_that_start_at_once_one_has_it(tmp_path):
                     told.append("held")
                     time.sleep(1e-4)
                     told.append("free")
-            except vj.StoreInUse:
+            except vj.maps.StoreInUse:
                 pass
 
     threads = [threading.Thread(target=take) for _ in range(8)]
@@ -172,7 +172,7 @@ def test_without_locks_of_the_system_the_file_is_the_lock(tmp_path, monkeypatch,
     file = tmp_path / "lock"
     with held(file, "map"):
         told = rf"process {os.getpid()} on .*If it has ended, remove .*lock"
-        with pytest.raises(vj.StoreInUse, match=told), held(file, "map"):
+        with pytest.raises(vj.maps.StoreInUse, match=told), held(file, "map"):
             pass
         assert file.exists()
     assert not file.exists()
@@ -180,7 +180,7 @@ def test_without_locks_of_the_system_the_file_is_the_lock(tmp_path, monkeypatch,
     ended.wait()
     owner = json.loads('{"host": "", "since": "today"}') | {"process": ended.pid}
     file.write_text(json.dumps(owner))
-    with pytest.raises(vj.StoreInUse, match="remove"), held(file, "map"):
+    with pytest.raises(vj.maps.StoreInUse, match="remove"), held(file, "map"):
         pass  # of another host nothing is known
     if system is not None:
         file.write_text(json.dumps(owner | {"host": lock.socket.gethostname()}))
@@ -249,7 +249,7 @@ def test_a_store_that_cannot_be_written_is_noticed_before_computing(
     read_only(store, way)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        with pytest.raises(vj.StoreReadOnly, match=r"cannot be written \(.*give another path"):
+        with pytest.raises(vj.maps.StoreReadOnly, match=r"cannot be written \(.*give another path"):
             small_map(store)
 
 
@@ -273,7 +273,7 @@ def test_a_store_that_can_no_longer_be_written_ends_the_map(tmp_path, read_only,
         return compute(self, number)
 
     monkeypatch.setattr(MapWork, "compute", noted)
-    with pytest.raises(vj.StoreReadOnly, match="cannot be written"):
+    with pytest.raises(vj.maps.StoreReadOnly, match="cannot be written"):
         make_map(
             tmp_path / "map", 6, measures=["natural_frequency"], keep_curves=False, chunk_lanes=2
         )
@@ -287,6 +287,6 @@ def test_a_store_without_the_right_to_write(tmp_path, computing):
     shutil.rmtree(tmp_path / "map" / "vibrojax" / "chunks")
     computing()
     (tmp_path / "map" / "lane_status").chmod(0o500)
-    with pytest.raises(vj.StoreReadOnly, match=r"lane_status' cannot be written \(Permission"):
+    with pytest.raises(vj.maps.StoreReadOnly, match=r"lane_status' cannot be written \(Permission"):
         small_map(tmp_path / "map")
     (tmp_path / "map" / "lane_status").chmod(0o700)

@@ -26,14 +26,14 @@ def write(folder, content, name="sweep.csv"):
     "encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "latin-1"]
 )
 def test_encodings(tmp_path, encoding):
-    curve = vj.read_measured_curve(write(tmp_path, TABLE.encode(encoding)))
+    curve = vj.io.read_measured_curve(write(tmp_path, TABLE.encode(encoding)))
     np.testing.assert_allclose(curve.amplitude, [5.4e-6, 6.4e-6])
     np.testing.assert_array_equal(curve.lines, [2, 3])
 
 
 def test_line_ends_and_the_end_of_dos_files(tmp_path):
     for ended in (TABLE.replace("\n", "\r\n"), TABLE.replace("\n", "\r"), TABLE + "\x1a"):
-        assert vj.read_measured_curve(write(tmp_path, ended)).size == 2
+        assert vj.io.read_measured_curve(write(tmp_path, ended)).size == 2
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_the_file_tells_its_decimal_sign(tmp_path, rows, expected, delimiter):
     if delimiter == '","':
         text = "\n".join(f'"{line}"' if line else "" for line in text.split("\n"))
     path = write(tmp_path, text.replace(";", delimiter))
-    curve = vj.read_measured_curve(path)
+    curve = vj.io.read_measured_curve(path)
     np.testing.assert_allclose(curve.amplitude * 1e3, expected, rtol=1e-14)
     assert any("Commas" in note for note in curve.notes)
 
@@ -69,29 +69,29 @@ def test_a_doubtful_decimal_sign_is_asked_about(tmp_path, rows, delimiter):
     path = write(tmp_path, f"f_Hz;tip_mm\n{rows}".replace(";", delimiter))
     sentence = r"Column 'tip_mm' holds '5,400', which is 5400 .* and 5.4 .*decimal='.' or decimal="
     with pytest.raises(ValueError, match=sentence):
-        vj.read_measured_curve(path)
-    point = vj.read_measured_curve(path, decimal=".")
+        vj.io.read_measured_curve(path)
+    point = vj.io.read_measured_curve(path, decimal=".")
     np.testing.assert_allclose(point.amplitude, [5.4, 6.1])
     if "." not in rows:
-        comma = vj.read_measured_curve(path, decimal=",")
+        comma = vj.io.read_measured_curve(path, decimal=",")
         np.testing.assert_allclose(comma.amplitude, [5.4e-3, 6.1e-3])
     with pytest.raises(ValueError, match=r"decimal must be one of '\.', ','"):
-        vj.read_measured_curve(path, decimal=";")
+        vj.io.read_measured_curve(path, decimal=";")
     history = write(tmp_path, f"t_s;tip_mm\n{rows}".replace(";", delimiter))
     with pytest.raises(ValueError, match=r"Measured history .* decimal='\.' or decimal=','"):
-        vj.read_measured_history(history, frequency=1.0)
+        vj.io.read_measured_history(history, frequency=1.0)
 
 
 def test_a_column_that_is_not_used_is_not_asked_about(tmp_path):
     path = write(tmp_path, "f_Hz;tip_mm;counts\n9;1;5,400\n10;2;6,100\n")
-    assert vj.read_measured_curve(path).size == 2
+    assert vj.io.read_measured_curve(path).size == 2
 
 
 def test_text_of_data_frames_has_decimal_commas_too():
     frame = pandas.DataFrame({"f_Hz": ["9,5", "10"], "tip_mm": ["0,5", "1,25"]})
-    np.testing.assert_allclose(vj.read_measured_curve(frame).amplitude, [5e-4, 1.25e-3])
+    np.testing.assert_allclose(vj.io.read_measured_curve(frame).amplitude, [5e-4, 1.25e-3])
     with pytest.raises(ValueError, match="holds '5,400'"):
-        vj.read_measured_curve({"f_Hz": [9, 10], "tip_mm": ["5,400", "6,100"]})
+        vj.io.read_measured_curve({"f_Hz": [9, 10], "tip_mm": ["5,400", "6,100"]})
 
 
 NUMBERS = (
@@ -143,7 +143,7 @@ def test_the_fast_way_reads_as_the_slow_one(delimiter, odd):
 def test_long_tables_take_the_fast_way(monkeypatch, tmp_path):
     monkeypatch.setattr(text_files, "_split_one_by_one", None)
     text = "".join(f"{k},{k / 7:.9g},{'up' if k < 500 else 'down'}\n" for k in range(1, 1000))
-    curve = vj.read_measured_curve(write(tmp_path, f"# made\nf_Hz,tip_mm,dir\n\n{text}"))
+    curve = vj.io.read_measured_curve(write(tmp_path, f"# made\nf_Hz,tip_mm,dir\n\n{text}"))
     np.testing.assert_array_equal(curve.lines, np.arange(4, 1003))
     assert curve.amplitude[69] == pytest.approx(10e-3)
     assert curve.forward.sum() == 499
@@ -152,26 +152,28 @@ def test_long_tables_take_the_fast_way(monkeypatch, tmp_path):
 def test_a_series_and_a_data_array():
     index = pandas.Index([9.0, 10.0], name="frequency [Hz]")
     series = pandas.Series([1.0, 2.0], index=index, name="tip [mm]")
-    np.testing.assert_allclose(vj.read_measured_curve(series).amplitude, [1e-3, 2e-3])
-    np.testing.assert_allclose(vj.read_measured_curve(series.to_frame()).frequency, [9.0, 10.0])
+    np.testing.assert_allclose(vj.io.read_measured_curve(series).amplitude, [1e-3, 2e-3])
+    np.testing.assert_allclose(vj.io.read_measured_curve(series.to_frame()).frequency, [9.0, 10.0])
     for unnamed in (series.rename(None), series.rename_axis(None), pandas.Series([1.0, 2.0])):
         with pytest.raises(ValueError, match=r"The series does not say .*rename_axis\('freq"):
-            vj.read_measured_curve(unnamed)
+            vj.io.read_measured_curve(unnamed)
     array = xarray.DataArray([1.0, 2.0], {"f": [9.0, 10.0]}, name="tip")
-    np.testing.assert_allclose(vj.read_measured_curve(array, units=UNITS).amplitude, [1e-3, 2e-3])
+    np.testing.assert_allclose(
+        vj.io.read_measured_curve(array, units=UNITS).amplitude, [1e-3, 2e-3]
+    )
     with pytest.raises(ValueError, match="data array has no name"):
-        vj.read_measured_curve(array.rename(None))
+        vj.io.read_measured_curve(array.rename(None))
 
 
 def test_masked_values_dates_and_booleans_are_no_numbers():
     masked = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
-    curve = vj.read_measured_curve({"f_Hz": [9, 10, 11], "tip_mm": masked})
+    curve = vj.io.read_measured_curve({"f_Hz": [9, 10, 11], "tip_mm": masked})
     np.testing.assert_allclose(curve.frequency, [9.0, 11.0])
     dates = pandas.date_range("2026-01-01", periods=3)
     with pytest.raises(ValueError, match="'t_s' for the time holds dates or durations"):
-        vj.read_measured_history({"t_s": dates, "tip_mm": [1, 2, 3]}, frequency=1.0)
+        vj.io.read_measured_history({"t_s": dates, "tip_mm": [1, 2, 3]}, frequency=1.0)
     with pytest.raises(ValueError, match="no usable row"):
-        vj.read_measured_curve({"f_Hz": [9, 10], "tip_mm": [True, True]})
+        vj.io.read_measured_curve({"f_Hz": [9, 10], "tip_mm": [True, True]})
 
 
 def test_durations_of_netcdf_files_stay_numbers(tmp_path):
@@ -180,16 +182,16 @@ def test_durations_of_netcdf_files_stay_numbers(tmp_path):
         {"time": ("time", [0.0, 0.1, 0.2], {"units": "seconds"})},
     )
     dataset.to_netcdf(tmp_path / "tip.nc", engine="h5netcdf")
-    history = vj.read_measured_history(tmp_path / "tip.nc", frequency=1.0)
+    history = vj.io.read_measured_history(tmp_path / "tip.nc", frequency=1.0)
     np.testing.assert_allclose(history.time, [0.0, 0.1, 0.2])
 
 
 @pytest.mark.parametrize("read", ["curve", "history", "rig"])
 def test_what_is_no_file_is_told(tmp_path, read):
     readers = {
-        "curve": vj.read_measured_curve,
-        "history": lambda path: vj.read_measured_history(path, frequency=1.0),
-        "rig": vj.read_rig,
+        "curve": vj.io.read_measured_curve,
+        "history": lambda path: vj.io.read_measured_history(path, frequency=1.0),
+        "rig": vj.io.read_rig,
     }
     os.mkfifo(tmp_path / "pipe")
     for path, sentence in (
@@ -214,7 +216,7 @@ def test_what_is_no_text_is_told(tmp_path):
         (b"\x89HDF\r\n\x1a\n", "cannot be read as NetCDF"),
     ):
         with pytest.raises(ValueError, match=f"Measured curve from .*{sentence}"):
-            vj.read_measured_curve(write(tmp_path, start + bytes(range(256))[: 256 // 2 * 2]))
+            vj.io.read_measured_curve(write(tmp_path, start + bytes(range(256))[: 256 // 2 * 2]))
 
 
 GOOD = [("f [Hz]", "tip [mm]", "dir")] + [
@@ -261,7 +263,7 @@ DAMAGES = {
 
 def outcome(path):
     try:
-        return vj.read_measured_curve(path), ""
+        return vj.io.read_measured_curve(path), ""
     except ValueError as error:
         return None, str(error)
 

@@ -76,7 +76,7 @@ SOURCES = {
 
 @pytest.mark.parametrize("source", SOURCES)
 def test_a_complex_column_is_a_response_with_magnitude_and_phase(tmp_path, source):
-    curve = vj.read_measured_curve(SOURCES[source](tmp_path))
+    curve = vj.io.read_measured_curve(SOURCES[source](tmp_path))
     assert curve.size == 31
     np.testing.assert_allclose(curve.amplitude, np.abs(RESPONSE), rtol=1e-12)
     np.testing.assert_allclose(curve.phase, np.angle(RESPONSE), rtol=1e-12)
@@ -86,37 +86,37 @@ def test_a_complex_column_is_a_response_with_magnitude_and_phase(tmp_path, sourc
 
 
 def test_a_curve_made_of_complex_amplitudes():
-    curve = vj.MeasuredCurve(FREQUENCY, "frequency", RESPONSE, is_ratio=False)
+    curve = vj.io.MeasuredCurve(FREQUENCY, "frequency", RESPONSE, is_ratio=False)
     np.testing.assert_array_equal(curve.amplitude, np.abs(RESPONSE))
     np.testing.assert_array_equal(curve.phase, np.angle(RESPONSE))
     assert curve.quantity == "first_harmonic"
-    told = vj.MeasuredCurve(FREQUENCY, "frequency", RESPONSE, quantity="rms", is_ratio=False)
+    told = vj.io.MeasuredCurve(FREQUENCY, "frequency", RESPONSE, quantity="rms", is_ratio=False)
     assert told.quantity == "rms"
     with pytest.raises(ValueError, match="phase is given, but the amplitude is complex"):
-        vj.MeasuredCurve(FREQUENCY, "frequency", RESPONSE, phase=FREQUENCY)
+        vj.io.MeasuredCurve(FREQUENCY, "frequency", RESPONSE, phase=FREQUENCY)
     with pytest.raises(ValueError, match="phase has 2 points, frequency has 31"):
-        vj.MeasuredCurve(FREQUENCY, "frequency", FREQUENCY, phase=np.zeros(2))
+        vj.io.MeasuredCurve(FREQUENCY, "frequency", FREQUENCY, phase=np.zeros(2))
     with pytest.raises(ValueError, match="phase is given without amplitude"):
-        vj.MeasuredCurve(FREQUENCY, "frequency", contact_force=FREQUENCY, phase=FREQUENCY)
-    assert vj.MeasuredCurve(FREQUENCY, "frequency", FREQUENCY).phase is None
+        vj.io.MeasuredCurve(FREQUENCY, "frequency", contact_force=FREQUENCY, phase=FREQUENCY)
+    assert vj.io.MeasuredCurve(FREQUENCY, "frequency", FREQUENCY).phase is None
 
 
 def test_magnitude_and_phase_in_two_columns():
     source = {NAMES[0]: FREQUENCY, "magnitude [m]": np.abs(RESPONSE)}
     degrees = np.degrees(np.angle(RESPONSE))
     degrees[3] = np.inf
-    curve = vj.read_measured_curve(source | {"phase [deg]": degrees})
+    curve = vj.io.read_measured_curve(source | {"phase [deg]": degrees})
     assert (curve.size, curve.quantity) == (31, "amplitude")
     np.testing.assert_allclose(np.delete(curve.phase - np.angle(RESPONSE), 3), 0, atol=1e-12)
     assert np.isnan(curve.phase[3])
     assert "Column 'phase [deg]' is kept as the phase; fits do not use it." in curve.notes
-    unclear = vj.read_measured_curve(source | {"phase": degrees})
+    unclear = vj.io.read_measured_curve(source | {"phase": degrees})
     assert unclear.phase is None
     assert any("'phase' was left out, as it says no unit" in note for note in unclear.notes)
-    told = vj.read_measured_curve(source | {"phase": degrees}, units=dict(phase="deg"))
+    told = vj.io.read_measured_curve(source | {"phase": degrees}, units=dict(phase="deg"))
     np.testing.assert_array_equal(told.phase, curve.phase)
     both = source | {"real [m]": RESPONSE.real, "imag [m]": RESPONSE.imag}
-    assert vj.read_measured_curve(both).phase is None
+    assert vj.io.read_measured_curve(both).phase is None
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_magnitude_and_phase_in_two_columns():
 def test_complex_numbers_elsewhere_are_refused(columns, settings, sentence):
     source = {"f_Hz": FREQUENCY, "tip_m": np.abs(RESPONSE)} | columns
     with pytest.raises(ValueError, match=f"Measured curve from 'dict': .*{sentence}"):
-        vj.read_measured_curve(source, **settings)
+        vj.io.read_measured_curve(source, **settings)
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_complex_numbers_elsewhere_are_refused(columns, settings, sentence):
 def test_a_part_of_a_response_is_not_an_amplitude(columns, settings, sentence):
     source = {"f_Hz": FREQUENCY} | {name: FREQUENCY for name in columns}
     with pytest.raises(ValueError, match=sentence):
-        vj.read_measured_curve(source, **settings)
+        vj.io.read_measured_curve(source, **settings)
 
 
 def test_complex_parameters_are_refused():
@@ -160,11 +160,11 @@ def test_complex_parameters_are_refused():
 def test_complex_signals_over_time_are_refused():
     for source in ({"t_s": FREQUENCY, "tip_m": RESPONSE}, {"t_s": RESPONSE, "tip_m": FREQUENCY}):
         with pytest.raises(ValueError, match=r"is complex .* must be real"):
-            vj.read_measured_history(source, frequency=10.0)
+            vj.io.read_measured_history(source, frequency=10.0)
     with pytest.raises(ValueError, match="displacement must be real, got the complex number"):
-        vj.MeasuredHistory(FREQUENCY, RESPONSE, frequency=10.0)
+        vj.io.MeasuredHistory(FREQUENCY, RESPONSE, frequency=10.0)
     with pytest.raises(ValueError, match="frequency must be real"):
-        vj.MeasuredCurve(RESPONSE, "frequency", FREQUENCY)
+        vj.io.MeasuredCurve(RESPONSE, "frequency", FREQUENCY)
 
 
 AMBIGUOUS = (
@@ -184,32 +184,34 @@ def test_a_plain_force_is_asked_about(name):
     source = {"f_Hz": FREQUENCY, "tip amplitude [m]": np.abs(RESPONSE), name: FREQUENCY}
     units = dict(contact_force="N") if name == "Force" else {}
     with pytest.raises(ValueError, match="may be the contact force or the force of the") as caught:
-        vj.read_measured_curve(source)
+        vj.io.read_measured_curve(source)
     for choice in (f"columns=dict(contact_force={name!r})", "columns=dict(contact_force=None)"):
         assert choice in str(caught.value)
     with pytest.raises(ValueError, match="may be the contact force or the force of the drive"):
-        vj.read_measured_curve({"f_Hz": FREQUENCY, name: FREQUENCY})
-    named = vj.read_measured_curve(source, columns=dict(contact_force=name), units=units)
+        vj.io.read_measured_curve({"f_Hz": FREQUENCY, name: FREQUENCY})
+    named = vj.io.read_measured_curve(source, columns=dict(contact_force=name), units=units)
     assert named.contact_force is not None
-    left = vj.read_measured_curve(source, columns=dict(contact_force=None))
+    left = vj.io.read_measured_curve(source, columns=dict(contact_force=None))
     assert left.contact_force is None
     history = {"t_s": FREQUENCY, "tip_m": FREQUENCY, name: FREQUENCY}
     with pytest.raises(ValueError, match="may be the contact force or the force of the drive"):
-        vj.read_measured_history(history, frequency=10.0)
-    left = vj.read_measured_history(history, frequency=10.0, columns=dict(contact_force=None))
+        vj.io.read_measured_history(history, frequency=10.0)
+    left = vj.io.read_measured_history(history, frequency=10.0, columns=dict(contact_force=None))
     assert left.contact_force is None
 
 
 def test_forces_that_say_whose_they_are():
     source = {"f_Hz": FREQUENCY, "tip amplitude [m]": np.abs(RESPONSE)}
     for name in ("contact force [N]", "impact_force_N", "max contact force [mN]"):
-        assert vj.read_measured_curve(source | {name: FREQUENCY}).contact_force is not None
-    both = vj.read_measured_curve(source | {"contact_force_N": FREQUENCY, "force [N]": FREQUENCY})
+        assert vj.io.read_measured_curve(source | {name: FREQUENCY}).contact_force is not None
+    both = vj.io.read_measured_curve(
+        source | {"contact_force_N": FREQUENCY, "force [N]": FREQUENCY}
+    )
     np.testing.assert_array_equal(both.contact_force, FREQUENCY)
     for name in ("shaker force [N]", "drive_force_N", "excitation force [N]"):
-        assert vj.read_measured_curve(source | {name: FREQUENCY}).contact_force is None
+        assert vj.io.read_measured_curve(source | {name: FREQUENCY}).contact_force is None
     deviation = source | {"force [N]": FREQUENCY, "force_sd": FREQUENCY}
-    left = vj.read_measured_curve(deviation, columns=dict(contact_force=None))
+    left = vj.io.read_measured_curve(deviation, columns=dict(contact_force=None))
     assert left.contact_force_deviation is None
-    named = vj.read_measured_curve(deviation, columns=dict(contact_force="force [N]"))
+    named = vj.io.read_measured_curve(deviation, columns=dict(contact_force="force [N]"))
     np.testing.assert_array_equal(named.contact_force_deviation, FREQUENCY)

@@ -228,7 +228,7 @@ def test_linear_force_and_acceleration_have_the_whole_damping():
     wanted = np.linalg.solve(mass, np.array([0.0, 3.0]) - wanted)
     np.testing.assert_allclose(shapes @ equations.acceleration(q, rate, 3.0), wanted, atol=1e-13)
     np.testing.assert_allclose(
-        vj.AbstractEquations.acceleration(equations, q, rate, 3.0),
+        vj.model.AbstractEquations.acceleration(equations, q, rate, 3.0),
         equations.acceleration(q, rate, 3.0),
         atol=1e-13,
     )

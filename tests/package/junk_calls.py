@@ -68,10 +68,10 @@ RIG = rig()
 LAW, DRIVE = vj.KelvinVoigt(1e3), vj.BaseMotion(1e-4)
 STOP = vj.Stop(0.5, 1e-3, LAW)
 SIZES = dict(length=0.2, width=0.02, thickness=1e-3, youngs_modulus=1e11, density=8e3)
-MEASURED = vj.MeasuredCurve(
+MEASURED = vj.io.MeasuredCurve(
     np.array([1.0, 1.1, 1.2]), "frequency_ratio", amplitude=np.array([1.0, 2.0, 3.0])
 )
-FOLD = vj.SpecialPoint("fold", 1.1, 2.0, 3.0, np.zeros(2), 0)
+FOLD = vj.branches.SpecialPoint("fold", 1.1, 2.0, 3.0, np.zeros(2), 0)
 TIME = np.linspace(0.0, 1.0, 50)
 TABLE = {"time [s]": TIME, "displacement [m]": np.sin(40 * TIME)}
 CURVE = {"frequency [Hz]": [1.0, 2.0, 3.0], "amplitude [m]": [1e-3, 2e-3, 1e-3]}
@@ -105,7 +105,7 @@ CALLS = {
     "Harmonic": (vj.Harmonic, dict(frequency=10.0)),
     "Chirp": (vj.Chirp, dict(start=1.0, end=2.0, duration=3.0)),
     "Motion": (
-        vj.Motion,
+        vj.model.Motion,
         dict(equations=RIG.equations(), drive=DRIVE, waveform=vj.Harmonic(10.0)),
     ),
     "ImpactingBeam": (vj.ImpactingBeam, dict(beam=RIG.beam, stops=STOP, drive=DRIVE)),
@@ -133,8 +133,8 @@ CALLS = {
     "ExactContact": (vj.ExactContact, {}),
     "ExponentialSplitting": (vj.ExponentialSplitting, {}),
     "LinearlyImplicit": (vj.LinearlyImplicit, {}),
-    "LevenbergMarquardt": (vj.LevenbergMarquardt, {}),
-    "Optax": (vj.Optax, dict(optimiser=__import__("optax").adam(0.1))),
+    "LevenbergMarquardt": (vj.identification.LevenbergMarquardt, {}),
+    "Optax": (vj.identification.Optax, dict(optimiser=__import__("optax").adam(0.1))),
     "SettledSweep": (vj.SettledSweep, {}),
     "PeriodicPoints": (vj.PeriodicPoints, {}),
     "ContinuationCurve": (vj.ContinuationCurve, {}),
@@ -144,11 +144,11 @@ CALLS = {
         dict(start=start, displacement=[0.0, 1e-3], velocity=[0.0, 1.0]),
     ),
     "MeasuredCurve": (
-        vj.MeasuredCurve,
+        vj.io.MeasuredCurve,
         dict(frequency=np.ones(3), frequency_name="frequency", amplitude=np.ones(3)),
     ),
     "MeasuredHistory": (
-        vj.MeasuredHistory,
+        vj.io.MeasuredHistory,
         dict(time=TIME, displacement=np.sin(TIME), frequency=9.0),
     ),
     "default_rig": (vj.default_rig, {}),
@@ -221,9 +221,9 @@ CALLS = {
     "zipped": (vj.zipped, dict(gap=[1.0, 2.0], taper=[0.0, 0.1])),
     "plot_map": (vj.plot_map, dict(dataset=MAP)),
     "plot_map_summary": (vj.plot_map_summary, dict(dataset=MAP)),
-    "read_rig": (vj.read_rig, dict(path="nowhere.toml")),
-    "read_measured_curve": (vj.read_measured_curve, dict(source=CURVE)),
-    "read_measured_history": (vj.read_measured_history, dict(source=TABLE, frequency=9.0)),
+    "read_rig": (vj.io.read_rig, dict(path="nowhere.toml")),
+    "read_measured_curve": (vj.io.read_measured_curve, dict(source=CURVE)),
+    "read_measured_history": (vj.io.read_measured_history, dict(source=TABLE, frequency=9.0)),
     "Modes.shape": (vj.modes(RIG.beam).shape, dict(s=0.5)),
     "Modes.to_xarray": (vj.modes(RIG.beam).to_xarray, {}),
 }

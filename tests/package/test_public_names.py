@@ -11,13 +11,14 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from conftest import public_names
 
 import vibrojax as vj
 from vibrojax.cli import command as cli
 from vibrojax.io import rig_file_keys
 from vibrojax.results.variables import PARAMETER_UNITS, VARIABLES
 
-PUBLIC = {name: getattr(vj, name) for name in dir(vj) if not name.startswith("_")}
+PUBLIC = public_names()
 CLASSES = {name: value for name, value in PUBLIC.items() if inspect.isclass(value)}
 
 
@@ -175,7 +176,7 @@ def test_options_of_commands_are_named_as_arguments():
         "sweep": arguments(vj.frequency_sweep),
         "map": arguments(vj.parameter_map, vj.SettledSweep),
         "modes": arguments(vj.modes),
-        "fit": arguments(vj.identify, vj.read_measured_curve),
+        "fit": arguments(vj.identify, vj.io.read_measured_curve),
     }
     for command, function in cli.COMMANDS.items():
         assert arguments(function) - COMMAND_ONLY <= python[command], command
@@ -199,7 +200,9 @@ def test_keys_of_rig_files_are_named_as_arguments():
         assert set(keys) <= arguments(law)
 
 
-@pytest.mark.parametrize("kind", [vj.FrequencyResponse, vj.Branch, vj.PeriodicResponse])
+@pytest.mark.parametrize(
+    "kind", [vj.sweep.FrequencyResponse, vj.branches.Branch, vj.steady.PeriodicResponse]
+)
 def test_variables_of_datasets_are_named_as_fields(kind):
     curves = {n for n in fields_of(kind) if n.endswith("_ratio") or n.startswith("contact")}
     assert {"amplitude_ratio", "peak_ratio", "contact_force", "contacts_per_period"} <= curves

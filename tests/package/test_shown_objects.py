@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from conftest import public_names
 from matplotlib.figure import Figure
 from unit_oscillator import oscillator
 
@@ -46,9 +47,9 @@ PARTS = {
     "RegimeSweep": (vj.RegimeSweep(), "transient=200"),
     "LinearEquations": (oscillator().equations(), "coordinates: 1", "rad/s"),
     "MatrixModes": (oscillator().modes(), "rad/s"),
-    "LevenbergMarquardt": (vj.LevenbergMarquardt(), "most_steps=60"),
-    "Optax": (vj.Optax(optax.adam(0.1)), "steps=200"),
-    "Fold": (vj.Fold(*map(jnp.asarray, (1.2, 3.0, 0.5, [0.0, 1.0], True))), "0.5 N"),
+    "LevenbergMarquardt": (vj.identification.LevenbergMarquardt(), "most_steps=60"),
+    "Optax": (vj.identification.Optax(optax.adam(0.1)), "steps=200"),
+    "Fold": (vj.branches.Fold(*map(jnp.asarray, (1.2, 3.0, 0.5, [0.0, 1.0], True))), "0.5 N"),
 }
 MODULES = [name for name, (part, *_) in PARTS.items() if isinstance(part, eqx.Module)]
 
@@ -103,19 +104,23 @@ def test_objects_are_copied_and_pickled():
 
 
 def contacts_by_hand():
-    columns = inspect.signature(vj.Contacts).parameters
+    columns = inspect.signature(vj.history.Contacts).parameters
     numbers = {name: np.linspace(0.5, 1.0, 3) for name in columns}
-    return vj.Contacts(**(numbers | {"stop": np.array([1, 2, 1])}))
+    return vj.history.Contacts(**(numbers | {"stop": np.array([1, 2, 1])}))
 
 
 def energy_by_hand():
     table = np.linspace(0.1, 1.0, 6).reshape(3, 2)
-    return vj.EnergyFlow(np.arange(3.0), table, table[:, :1], table, table[:, :1], table[:, 0])
+    return vj.history.EnergyFlow(
+        np.arange(3.0), table, table[:, :1], table, table[:, :1], table[:, 0]
+    )
 
 
 def fold_curve_by_hand():
     x = np.linspace(1.0, 1.2, 4)
-    return vj.FoldCurve(4e-4 * x, x, 3 * x, x, ("end of the range", "the fold ends"), "gap")
+    return vj.branches.FoldCurve(
+        4e-4 * x, x, 3 * x, x, ("end of the range", "the fold ends"), "gap"
+    )
 
 
 QUICK = {
@@ -123,7 +128,7 @@ QUICK = {
     "Contacts": contacts_by_hand,
     "EnergyFlow": energy_by_hand,
     "FoldCurve": fold_curve_by_hand,
-    "LyapunovExponent": lambda: vj.LyapunovExponent(
+    "LyapunovExponent": lambda: vj.regime.LyapunovExponent(
         *map(jnp.asarray, (0.05, 0.003, np.linspace(0.0, 0.1, 40), np.zeros(2), 7.0))
     ),
     "ResolutionCheck": lambda: vj.ResolutionCheck(
@@ -147,18 +152,20 @@ def test_results_draw_themselves_and_become_datasets(name):
     check_result(QUICK[name]())
 
 
-RESULTS = (
-    *("Basins", "BifurcationDiagram", "Branch", "Branches", "Coexisting", "Contacts", "Cycles"),
-    *("EnergyFlow", "FoldCurve", "FoldCurves", "FrequencyResponse", "Histories", "History"),
-    *("Identification", "LyapunovExponent", "Modes", "PeriodicResponse", "PoincareSection"),
-    *("Regimes", "ResolutionCheck", "SingleContactResponse", "Spectrum"),
-)
+RESULTS = {
+    name: kind
+    for name, kind in public_names().items()
+    if inspect.isclass(kind) and not name.startswith(("io.", "explorer.")) and hasattr(kind, "plot")
+}
 
 
 @pytest.mark.parametrize("name", RESULTS)
 def test_every_result_has_a_picture_and_a_dataset(name):
-    for method in ("plot", "to_xarray"):
-        assert inspect.isfunction(inspect.unwrap(getattr(getattr(vj, name), method)))
+    assert inspect.isfunction(inspect.unwrap(RESULTS[name].to_xarray))
+
+
+def test_results_are_found():
+    assert len(RESULTS) >= 22
 
 
 def made_by_programs():

@@ -14,7 +14,7 @@ import vibrojax as vj
 RIG = vj.default_rig()
 BATCH = vj.default_rig(gap=jax.numpy.array([1e-4, 2e-4]))
 AT = {"frequency_ratio": 1.1}
-MEASURED = vj.MeasuredCurve(
+MEASURED = vj.io.MeasuredCurve(
     np.array([1.0, 1.1, 1.2]), "frequency_ratio", amplitude=np.array([1.0, 2.0, 3.0])
 )
 
@@ -99,7 +99,7 @@ CALLS = {
     "tolerance must be a number, got None.": lambda: vj.frequency_sweep(RIG, tolerance=None, **AT),
     "guess must be a PeriodicResponse": lambda: vj.periodic_response(RIG, guess="x", **AT),
     "LinearisedPendulum or MatrixSystem), got 'x'": lambda: vj.single_contact_response("x", **AT),
-    "path must be a path, got None.": lambda: vj.read_rig(None),
+    "path must be a path, got None.": lambda: vj.io.read_rig(None),
     "store must be a path, got 3.": lambda: vj.parameter_map(own_rig, store=3, **AT),
     "measures must be": lambda: vj.parameter_map(own_rig, measures=3, **AT),
     "gradients must be a text or a list of texts, got 3.": lambda: vj.parameter_map(

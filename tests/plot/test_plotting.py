@@ -47,7 +47,7 @@ def response(axes=None, axis="frequency_ratio", directions=("forward", "backward
         "jump_down_bracket": np.stack([down * unit * lanes] * 2, axis=-1),
         "attributes": {},
     }
-    return vj.FrequencyResponse(**(fields | changed))
+    return vj.sweep.FrequencyResponse(**(fields | changed))
 
 
 def texts(figure):

@@ -19,7 +19,7 @@ from vibrojax.steady.condensed import (
 SAMPLES = 64
 
 
-class PowerLaw(vj.AbstractContactLaw):
+class PowerLaw(vj.model.AbstractContactLaw):
     """A stop that stiffens: F = stiffness d^1.5."""
 
     stiffness: float

@@ -388,7 +388,7 @@ def test_balance_needs_a_stop(rig):
         vj.periodic_response(one, frequency_ratio=1.0, method=vj.HarmonicBalance())
 
 
-class PendulumEquations(vj.AbstractEquations):
+class PendulumEquations(vj.model.AbstractEquations):
     """q'' + 0.2 q' + sin q = 0.6 a(t): linear but for nothing."""
 
     stops: tuple[vj.Stop, ...] = ()
@@ -416,8 +416,8 @@ class PendulumEquations(vj.AbstractEquations):
         return q[0]
 
 
-class Pendulum(vj.AbstractSystem):
-    drive: vj.AbstractDrive
+class Pendulum(vj.model.AbstractSystem):
+    drive: vj.model.AbstractDrive
     stops: tuple[vj.Stop, ...] = ()
 
     def equations(self):

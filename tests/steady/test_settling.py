@@ -29,15 +29,15 @@ LANES = len(PERIODS)
 CHAOTIC = list(PERIODS.values()).index(0)
 
 
-class Oscillator(vj.AbstractSystem):
+class Oscillator(vj.model.AbstractSystem):
     """x'' + 0.1 x' + x + 50 max(x - 1, 0) = 0.3 cos(w t), as anyone would write it."""
 
-    drive: vj.AbstractDrive
+    drive: vj.model.AbstractDrive
     stops: tuple[vj.Stop, ...]
 
     def equations(self):
         one = jnp.ones(1)
-        return vj.LinearEquations(
+        return vj.model.LinearEquations(
             stops=self.stops,
             angular_frequency=one,
             damping_ratio=0.05 * one,

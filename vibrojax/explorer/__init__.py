@@ -1,0 +1,3 @@
+"""An interactive frequency response."""
+
+from vibrojax.explorer.explorer import Explorer as Explorer

@@ -54,7 +54,7 @@ MOST_POINTS = 1_000_000
 def read_rig(path: str | os.PathLike[str]) -> tuple[ImpactingBeam, dict[str, Any]]:
     """Read a rig file and return the rig and the keywords of `frequency_sweep` it asks for.
 
-        system, settings = vj.read_rig("examples/uniform_beam.toml")
+        system, settings = vj.io.read_rig("examples/uniform_beam.toml")
         curve = vj.frequency_sweep(system, **settings)
 
     Tables, all in SI units (`examples/uniform_beam.toml` explains every key):

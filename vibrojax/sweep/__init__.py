@@ -1,0 +1,3 @@
+"""Forward and backward frequency sweeps."""
+
+from vibrojax.sweep.frequency_response import FrequencyResponse as FrequencyResponse
