@@ -40,7 +40,7 @@ from vibrojax.maps.continuation_curves import ContinuationCurve as ContinuationC
 from vibrojax.maps.parameter_map import parameter_map as parameter_map
 from vibrojax.maps.periodic_points import PeriodicPoints as PeriodicPoints
 from vibrojax.maps.regime_sweep import RegimeSweep as RegimeSweep
-from vibrojax.maps.responses import SettledSweep as SettledSweep
+from vibrojax.maps.settled_sweep import SettledSweep as SettledSweep
 from vibrojax.model.beam import Cantilever as Cantilever
 from vibrojax.model.beam import PointMass as PointMass
 from vibrojax.model.drives import BaseMotion as BaseMotion

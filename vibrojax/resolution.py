@@ -87,11 +87,11 @@ class ResolutionCheck(eqx.Module):
         lines = ["ResolutionCheck (relative change)"]
         for what, numbers in self.relative.items():
             lines.append(f"  {what}")
-            lines += [f"    {n:24s}{self._told(what, n, c)}" for n, c in numbers.items()]
+            lines += [f"    {n:24s}{self._sentence(what, n, c)}" for n, c in numbers.items()]
         lines += [f"  {what}: not varied, {why}" for what, why in self.skipped.items()]
         return "\n".join(lines)
 
-    def _told(self, what: str, name: str, change: float) -> str:
+    def _sentence(self, what: str, name: str, change: float) -> str:
         if np.isinf(change):
             return f"from 0 to {float(self.moved[what][name]):.2e}"
         if np.isnan(change):

@@ -10,7 +10,8 @@ import pytest
 from scipy.signal import periodogram
 
 import vibrojax as vj
-from vibrojax.history.spectrum import folded_share, name_frequency, spectrum_of
+from vibrojax.history.history_spectrum import folded_share
+from vibrojax.history.spectrum import name_frequency, spectrum_of
 
 RATE = 512.0
 WINDOWS = ("hann", "flattop", "boxcar", "hamming", "blackmanharris")

@@ -16,8 +16,8 @@ from map_program import oscillator
 import vibrojax as vj
 from vibrojax.ensemble.arguments import arguments_of
 from vibrojax.maps.chunks import cut
+from vibrojax.maps.fingerprints import identity_of, value_digest
 from vibrojax.maps.rig_maker import RigMaker
-from vibrojax.maps.told_apart import identity_of, value_digest
 from vibrojax.maps.work import MapWork
 
 NATURAL = np.linspace(1.0, 2.0, 8)

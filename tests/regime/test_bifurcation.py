@@ -6,7 +6,7 @@ from unit_oscillator import oscillator
 
 import vibrojax as vj
 from vibrojax.ensemble.lanes import lanes_of
-from vibrojax.regime.bifurcation import _course
+from vibrojax.regime.bifurcation import _lanes_along
 from vibrojax.regime.bifurcation_result import PeriodChange
 
 UNIT = 2 * np.pi
@@ -57,19 +57,19 @@ def test_first_values_are_those_of_regimes(diagram):
 def test_what_is_carried():
     lanes = lanes_of(oscillator, {"gap": [1.0, 1.1, 1.2], "damping": [0.1, 0.2]})
     grid = np.array([0.1, 0.2, 0.3, 0.4])
-    course = _course(lanes, "frequency", grid, None)
-    assert course.name == "frequency"
-    assert course.rig.shape == (6, 4)
-    np.testing.assert_array_equal(course.rig, np.arange(6)[:, None] * np.ones(4))
-    np.testing.assert_array_equal(course.frequency, np.ones((6, 1)) * grid)
-    course = _course(lanes, "frequency", grid, "gap")
-    assert list(course.axes) == ["damping", "frequency"]
-    assert course.rig.shape == (8, 3)
-    np.testing.assert_array_equal(course.rig[0], [0, 2, 4])
-    np.testing.assert_array_equal(course.rig[4], [1, 3, 5])
-    np.testing.assert_array_equal(course.frequency[:, 0], np.tile(grid, 2))
+    paths = _lanes_along(lanes, "frequency", grid, None)
+    assert paths.name == "frequency"
+    assert paths.rig.shape == (6, 4)
+    np.testing.assert_array_equal(paths.rig, np.arange(6)[:, None] * np.ones(4))
+    np.testing.assert_array_equal(paths.frequency, np.ones((6, 1)) * grid)
+    paths = _lanes_along(lanes, "frequency", grid, "gap")
+    assert list(paths.axes) == ["damping", "frequency"]
+    assert paths.rig.shape == (8, 3)
+    np.testing.assert_array_equal(paths.rig[0], [0, 2, 4])
+    np.testing.assert_array_equal(paths.rig[4], [1, 3, 5])
+    np.testing.assert_array_equal(paths.frequency[:, 0], np.tile(grid, 2))
     only = lanes_of(oscillator, {"gap": [1.0, 1.1]})
-    assert _course(only, "frequency", grid[:1], None).name == "gap"
+    assert _lanes_along(only, "frequency", grid[:1], None).name == "gap"
 
 
 def test_doublings_among_changes():

@@ -5,7 +5,7 @@ import pytest
 from unit_oscillator import oscillator
 
 import vibrojax as vj
-from vibrojax.regime import observing, strobing
+from vibrojax.regime import observing, poincare_map
 from vibrojax.regime.kinds import Regime, regime_of
 from vibrojax.regime.observing import Sampling, amplitude_spectrum, sides
 
@@ -75,13 +75,13 @@ def test_lanes_do_not_know_of_each_other(found):
 
 
 def test_random_starts_are_the_same_for_a_seed_and_lie_outside_of_the_stop():
-    before = strobing._observe._cached._cache_size(), observing._sampled._cached._cache_size()
+    before = poincare_map._observe._cached._cache_size(), observing._sampled._cached._cache_size()
     settings = SETTINGS | {"starts": 6, "frequency": W[:2] / UNIT}
     one = vj.regimes(oscillator(), seed=3, **settings)
     again = vj.regimes(oscillator(), seed=3, **settings)
     other = vj.regimes(oscillator(gap=1.1), seed=4, **settings)
     # Other numbers, and other numbers of rigs, run in the loops there are.
-    after = strobing._observe._cached._cache_size(), observing._sampled._cached._cache_size()
+    after = poincare_map._observe._cached._cache_size(), observing._sampled._cached._cache_size()
     assert max(a - b for a, b in zip(after, before, strict=True)) <= 1
     assert one.dims == ("start", "frequency")
     np.testing.assert_array_equal(one.starts, again.starts)

@@ -21,7 +21,7 @@ from vibrojax.steady.single_contact import (
     unit_tables,
 )
 from vibrojax.steady.single_contact_folds import fold_of_single_contact
-from vibrojax.steady.single_contact_orbit import course_of, read_single_contact
+from vibrojax.steady.single_contact_orbit import laid_out, read_single_contact
 from vibrojax.steady.single_contact_points import evaluate
 
 DATA = Path(__file__).parents[1] / "data"
@@ -103,14 +103,14 @@ def test_states_and_the_return_under_the_events(lanes):
     def orbit(w, fraction):
         tables = unit_tables(phases, system.drive, w)
         found = single_contact(tables, fraction)
-        own, events, course = course_of(tables, found)
-        begin = state_in(own, course, 0, events.section)
-        again = follow_events(own, events, Orbit(begin, course.times), 1)
+        own, events, motion = laid_out(tables, found)
+        begin = state_in(own, motion, 0, events.section)
+        again = follow_events(own, events, Orbit(begin, motion.times), 1)
         size = jnp.linalg.norm(phases.weight * begin)
         missed = jnp.linalg.norm(phases.weight * (again.end - begin)) / size
         reading, _ = read_single_contact(tables, found)
-        moved = jnp.max(jnp.abs(again.times - course.times))
-        touched = state_in(own, course, 1, course.start[1])
+        moved = jnp.max(jnp.abs(again.times - motion.times))
+        touched = state_in(own, motion, 1, motion.start[1])
         scale = jnp.linalg.norm(phases.weight * found.state)
         apart = jnp.linalg.norm(phases.weight * (touched - found.state)) / scale
         return found.gap_ratio, missed, moved, apart, reading.initial_state

@@ -128,8 +128,10 @@ def check_names(function: Callable[..., Any], given: Iterable[str], where: str =
     known = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
     for name in given:
         if name not in known:
-            told = f" in {where}" if where else ""
-            raise ValueError(f"Unknown argument {name!r} of the rig{told}. {nearest(name, known)}")
+            within = f" in {where}" if where else ""
+            raise ValueError(
+                f"Unknown argument {name!r} of the rig{within}. {nearest(name, known)}"
+            )
 
 
 def check_needed_arguments(function: Callable[..., Any], given: Iterable[str]) -> None:

@@ -1,6 +1,6 @@
 """How the parts of a system show themselves: numbers with units, never a dump of arrays.
 
-Numbers are shown in as few digits as tell them from all others, so that equal texts mean equal
+Numbers are shown in as few digits as no other number has, so that equal texts mean equal
 numbers. What JAX is tracing, and placeholders, show their shape.
 """
 

@@ -23,13 +23,13 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from typing import Any, NoReturn, TypeVar
 
-_told_before = sys.unraisablehook
+_hook_before = sys.unraisablehook
 
 
 def _repeat_lost(lost: Any) -> None:
     """Interrupt again where a `KeyboardInterrupt` fell into a callback that can raise nothing."""
     if lost.exc_type is not KeyboardInterrupt:
-        _told_before(lost)
+        _hook_before(lost)
     elif threading.current_thread() is threading.main_thread():
         # A little later, so that it does not fall into the same callback.
         if hasattr(signal, "pthread_kill"):  # which wakes what sleeps

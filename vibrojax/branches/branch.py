@@ -2,180 +2,40 @@
 
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Complex, Float
+from jaxtyping import ArrayLike
 
 from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
+from vibrojax.branches.points import CURVES as CURVES
+from vibrojax.branches.points import BranchPoints
+from vibrojax.branches.resampling import resample
+from vibrojax.branches.switching import switch_branch
 from vibrojax.results.axes import coordinates_of, pick
 from vibrojax.results.saving import save_dataset
-from vibrojax.results.variables import axis_description, axis_unit, described_as
+from vibrojax.results.variables import axis_description as axis_description
 from vibrojax.sweep.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from vibrojax.steady.paths import AbstractPath
 
-CURVES = (
-    "amplitude_ratio",
-    "peak_ratio",
-    "rms_ratio",
-    "first_harmonic_ratio",
-    "contact_force",
-    "contact_fraction",
-    "contacts_per_period",
-    "leading_multiplier",
-    "residual",
-)
-SPECIAL = ("folds", "period_doublings", "neimark_sackers", "grazings")
-
-
-class SpecialPoint(eqx.Module):
-    """A fold, period doubling, Neimark-Sacker point or first touch, refined."""
-
-    kind: str = eqx.field(static=True)
-    """`fold`, `period_doubling`, `neimark_sacker` or `grazing` (a first touch)."""
-    parameter: float
-    """In the unit that was asked for."""
-    amplitude_ratio: float
-    """Half peak-to-peak displacement over drive amplitude."""
-    contact_force: float
-    """N."""
-    initial_state: Float[np.ndarray, " states"] | None
-    """(q, q') at drive phase 0; None for a touch, whose motion is contact-free."""
-    after: int
-    """Index of the branch point before it."""
-
-    def __float__(self) -> float:
-        return float(self.parameter)
-
-    def __repr__(self) -> str:
-        return (
-            f"{self.kind.replace('_', ' ')} at {self.parameter:.8g} "
-            f"(amplitude ratio {self.amplitude_ratio:.6g})"
-        )
-
-
-class Branch(eqx.Module):
+class Branch(BranchPoints):
     """Periodic responses of one system along a branch, stable and unstable, in order of arclength.
 
     Arrays have the shape (points,). Ratios are over the drive amplitude; displacements are those
     that the system reports (the tip), relative to the base.
     """
 
-    axis: str = eqx.field(static=True)
-    """The parameter: `frequency_ratio`, `frequency` (Hz) or a name of the user's function."""
-    values: Float[np.ndarray, " points"]
-    """The parameter along the branch."""
-    arclength: Float[np.ndarray, " points"]
-    """Way along the branch: change of the motion over its size, and of the parameter."""
-    amplitude_ratio: Float[np.ndarray, " points"]
-    """Half peak-to-peak displacement over drive amplitude."""
-    peak_ratio: Float[np.ndarray, " points"]
-    """Largest displacement, either side, over drive amplitude."""
-    rms_ratio: Float[np.ndarray, " points"]
-    """RMS displacement, the mean included, over drive amplitude."""
-    first_harmonic_ratio: Float[np.ndarray, " points"]
-    """Amplitude at the drive frequency over drive amplitude."""
-    contact_force: Float[np.ndarray, " points"]
-    """Largest contact force, N."""
-    contact_fraction: Float[np.ndarray, " points"]
-    """Share of the time in contact, 0 to 1."""
-    contacts_per_period: Float[np.ndarray, " points"]
-    """Contacts per drive period."""
-    floquet_multipliers: Complex[np.ndarray, "points states"]
-    """Eigenvalues of the Jacobian of the map over `period` drive periods."""
-    residual: Float[np.ndarray, " points"]
-    """Relative residual of the motion: of its exact equations, or of the balance on a grid four
-    times finer."""
-    initial_state: Float[np.ndarray, "points states"]
-    """(q, q') at drive phase 0, m and m/s."""
-    special_points: tuple[SpecialPoint, ...]
-    """All refined special points, in order along the branch."""
-    period: int = eqx.field(static=True)
-    """Drive periods after which the motion repeats."""
-    status: str = eqx.field(static=True)
-    """How the branch ended: completed, stuck, turned_back, closed or running."""
-    sentence: str = eqx.field(static=True)
-    """The status in words, and any fallback that was needed."""
-    ticks: int = eqx.field(static=True)
-    """Cost: linearised balances solved."""
-    exact: bool = eqx.field(static=True)
-    """Whether points are made exact solutions between contact times, or left to the balance."""
-    exact_points: Bool[np.ndarray, " points"]
-    """Which points are exact; the others are harmonic balance."""
-    ratio_units: str = eqx.field(static=True)
-    """Unit of the ratios: `1` for base motion, `m/N` for a force."""
-    natural_frequency: float
-    """First natural frequency of the unstopped system, Hz, where the branch starts."""
-    labels: dict[str, float]
-    """Value of every axis of the call that this branch belongs to."""
-    range: tuple[float, float] = eqx.field(static=True)
-    """The range that was followed."""
-    attributes: dict[str, str] = eqx.field(static=True)
-    """What was run: rig, settings, versions."""
-    path: "AbstractPath"
-    """The system along the parameter, as one lane of a stack."""
-    depth: Complex[np.ndarray, "points stops harmonics"]
-    """Spectra of the averaged depth at the stops: where a search nearby starts from."""
-
-    @property
-    def frequency_ratio(self) -> Float[np.ndarray, " points"]:
-        """The parameter, when it is the frequency ratio."""
-        return self._values_of("frequency_ratio")
-
-    @property
-    def frequency(self) -> Float[np.ndarray, " points"]:
-        """The parameter, when it is the frequency in Hz."""
-        return self._values_of("frequency")
-
-    def _values_of(self, name: str) -> np.ndarray:
-        if self.axis != name:
-            raise AttributeError(f"This branch runs along {self.axis}: use .values.")
-        return self.values
-
-    @property
-    def leading_multiplier(self) -> Float[np.ndarray, " points"]:
-        """Largest modulus of the Floquet multipliers."""
-        return np.max(np.abs(self.floquet_multipliers), axis=1)
-
-    @property
-    def stable(self) -> Bool[np.ndarray, " points"]:
-        """Whether all Floquet multipliers lie inside the unit circle."""
-        return self.leading_multiplier < 1.0
-
-    @property
-    def completed(self) -> bool:
-        """Whether the branch reached the end of the range."""
-        return self.status == "completed"
-
-    def _special(self, kind: str) -> Float[np.ndarray, " special"]:
-        return np.array([s.parameter for s in self.special_points if s.kind == kind], float)
-
-    @property
-    def folds(self) -> Float[np.ndarray, " folds"]:
-        """Where the branch turns round, in the unit that was asked for, along the branch."""
-        return self._special("fold")
-
-    @property
-    def period_doublings(self) -> Float[np.ndarray, " period_doublings"]:
-        """Where a multiplier passes -1."""
-        return self._special("period_doubling")
-
-    @property
-    def neimark_sackers(self) -> Float[np.ndarray, " neimark_sackers"]:
-        """Where a complex pair of multipliers crosses the unit circle."""
-        return self._special("neimark_sacker")
-
-    @property
-    def grazings(self) -> Float[np.ndarray, " grazings"]:
-        """Where the motion first touches a stop."""
-        return self._special("grazing")
+    @classmethod
+    def of(cls, points: BranchPoints) -> "Branch":
+        """Make a branch of its points."""
+        return cls(**{field.name: getattr(points, field.name) for field in fields(points)})
 
     @validated
     def resample(self, values: ArrayLike | Sequence[Any]) -> "xarray.Dataset":
@@ -185,8 +45,6 @@ class Branch(eqx.Module):
         times, counted along the branch; NaN where it does not. Raises `ValueError` for values that
         are not finite.
         """
-        from vibrojax.branches.resampling import resample
-
         return resample(self, values)
 
     @validated
@@ -196,57 +54,7 @@ class Branch(eqx.Module):
         `number` counts `period_doublings`; settings are `max_points` and `longest_step` of
         `continue_response`. Raises `ValueError` where there is no such point.
         """
-        from vibrojax.branches.switching import switch_branch
-
-        return switch_branch(self, number, **settings)
-
-    def to_xarray(self) -> "xarray.Dataset":
-        """Return a dataset along `point`, with units, long names and the rig in its attributes."""
-        import xarray
-
-        axis_units = axis_unit(self.axis)
-
-        def described(name: str) -> dict[str, Any]:
-            return described_as(name, self.ratio_units, axis_units)
-
-        data: dict[str, Any] = {
-            name: ("point", np.asarray(getattr(self, name)), described(name)) for name in CURVES
-        }
-        for name in ("exact_points", "stable"):
-            data[name] = ("point", getattr(self, name).astype(np.int8), described(name))
-        for part, values in (
-            ("real", np.real(self.floquet_multipliers)),
-            ("imaginary", np.imag(self.floquet_multipliers)),
-        ):
-            name = f"floquet_multiplier_{part}"
-            data[name] = (("point", "multiplier"), values, described(name))
-        states = (("point", "state"), self.initial_state, described("initial_state"))
-        data["initial_state"] = states
-        for kind in SPECIAL:
-            label, dim = kind.replace("_", " ").capitalize(), kind[:-1]
-            own = [point for point in self.special_points if point.kind == dim]
-            where = {"units": axis_units, "long_name": f"{label} of {self.axis}"}
-            after = {"units": "1", "long_name": "Index of the point before it"}
-            data[kind] = (dim, getattr(self, kind), where)
-            data[f"{dim}_after"] = (dim, np.array([p.after for p in own], int), after)
-            for name in ("amplitude_ratio", "contact_force"):
-                values = np.array([getattr(p, name) for p in own], float)
-                data[f"{dim}_{name}"] = (dim, values, described(name))
-        coordinates: dict[str, Any] = {
-            self.axis: ("point", self.values, axis_description(self.axis)),
-            "arclength": ("point", self.arclength, described("arclength")),
-        }
-        for name, value in self.labels.items():
-            coordinates[name] = ((), value, axis_description(name))
-        attributes = dict(self.attributes) | {
-            "axis": self.axis,
-            "status": self.status,
-            "sentence": self.sentence,
-            "period": self.period,
-            "ticks": self.ticks,
-            "exact": int(self.exact),
-        }
-        return xarray.Dataset(data, coordinates, attrs=attributes)
+        return Branch.of(switch_branch(self, number, **settings))
 
     @validated
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -267,31 +75,6 @@ class Branch(eqx.Module):
         variable.
         """
         return _picture([self], variable, sweep)
-
-    def __repr__(self) -> str:
-        lines = [
-            f"Branch({len(self.values)} points along {self.axis} "
-            f"{np.min(self.values, initial=np.inf):.6g} to "
-            f"{np.max(self.values, initial=-np.inf):.6g}, period {self.period})"
-            if len(self.values)
-            else f"Branch(no points along {self.axis})"
-        ]
-        if self.labels:
-            lines.append("  " + ", ".join(f"{k} = {v:g}" for k, v in self.labels.items()))
-        if len(self.values):
-            peak = int(np.argmax(self.amplitude_ratio))
-            lines.append(
-                f"  peak amplitude ratio  {self.amplitude_ratio[peak]:.4f} at "
-                f"{self.values[peak]:.6f}"
-            )
-            lines.append(
-                f"  stable                {self.stable.sum()} of {len(self.values)} points"
-            )
-        lines += [f"  {point!r}" for point in self.special_points[:8]]
-        if len(self.special_points) > 8:
-            lines.append(f"  and {len(self.special_points) - 8} special points more")
-        lines.append(f"  {self.sentence}")
-        return "\n".join(lines)
 
 
 def _picture(

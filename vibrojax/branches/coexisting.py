@@ -16,18 +16,13 @@ from vibrojax._tools.checks import (
 )
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.along import check_system
-from vibrojax.branches.branch import Branch
-from vibrojax.branches.coexisting_result import Coexisting, Motion
-from vibrojax.branches.continue_response import continue_response
+from vibrojax.branches.coexisting_result import SAME, Coexisting, Motion
 from vibrojax.branches.lane_paths import frequency_paths
 from vibrojax.model.systems import AbstractSystem, as_arrays, check_made
 from vibrojax.results.status import Status
 from vibrojax.steady.batches import take
 from vibrojax.steady.starting import settled
 from vibrojax.stepping.choice import is_exact
-
-SAME = 1e-3
-"""Relative distance of states below which two motions are one."""
 
 
 @validated
@@ -113,7 +108,7 @@ def _random_states(paths, value: float, starts: int, size: float, seed: int) -> 
 
 
 def _sorted_out(system, axis, value, paths, starts, found) -> Coexisting:
-    """Group the marches by the motion they came to."""
+    """Group the marches by the motion they ended in."""
     weight = np.asarray(take(paths, 0).at(jnp.asarray(value)).equations.energy_weight)
     states = np.asarray(found.state).T * weight
     period, status = np.asarray(found.period), np.asarray(found.status)
@@ -129,7 +124,7 @@ def _sorted_out(system, axis, value, paths, starts, found) -> Coexisting:
         for group in groups:
             j = group[0]
             scale = max(np.linalg.norm(states[j]), np.linalg.norm(states[k]), 1e-300)
-            # A motion of period n is met at any of its n phases: its amplitude tells.
+            # A motion of period n is met at any of its n phases: its amplitude decides.
             close = np.linalg.norm(states[j] - states[k]) < SAME * scale
             alike = abs(amplitude[j] - amplitude[k]) < SAME * amplitude[j]
             if period[j] == period[k] and (close or (period[k] > 1 and alike)):
@@ -157,33 +152,3 @@ def _sorted_out(system, axis, value, paths, starts, found) -> Coexisting:
         diverged=np.flatnonzero(status == Status.diverged.value),
         system=system,
     )
-
-
-def branches_of(found: Coexisting, bounds: tuple[float, float], **settings: Any) -> list[Branch]:
-    """Follow every periodic motion found, leaving out those that lie on a branch already traced."""
-    branches: list[Branch] = []
-    for motion in found.motions:
-        if any(_lies_on(b, found, motion) for b in branches):
-            continue
-        range_of: dict[str, Any] = {found.axis: bounds}
-        branch = continue_response(
-            found.system,
-            **range_of,
-            period=motion.period,
-            start=(motion.initial_state, found.value),
-            **settings,
-        )
-        assert isinstance(branch, Branch)
-        branches.append(branch)
-    return branches
-
-
-def _lies_on(branch: Branch, found: Coexisting, motion: Motion) -> bool:
-    if branch.period != motion.period or not len(branch.values):
-        return False
-    here = branch.resample([found.value])
-    amplitude = np.asarray(here["amplitude_ratio"]).ravel()
-    force = np.asarray(here["contact_force"]).ravel()
-    near = np.abs(amplitude - motion.amplitude_ratio) < SAME * motion.amplitude_ratio
-    alike = np.abs(force - motion.contact_force) <= 1e-2 * max(motion.contact_force, 1e-12)
-    return bool(np.any(near & alike))

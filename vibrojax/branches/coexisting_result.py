@@ -8,6 +8,10 @@ from jaxtyping import Float, Int
 
 from vibrojax._tools.described import recipe
 from vibrojax._tools.signatures import validated
+from vibrojax.branches.branch import Branch
+from vibrojax.branches.continue_response import continue_response
+from vibrojax.history.history import History
+from vibrojax.history.simulate import simulate
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.variables import described_as
 
@@ -15,8 +19,8 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from vibrojax.branches.branch import Branch
-    from vibrojax.history.history import History
+SAME = 1e-3
+"""Relative distance of states below which two motions are one."""
 
 
 class Motion(eqx.Module):
@@ -60,7 +64,7 @@ class Coexisting(eqx.Module):
     """What moves."""
 
     @validated
-    def branches(self, bounds: tuple[float, float], **settings: Any) -> "list[Branch]":
+    def branches(self, bounds: tuple[float, float], **settings: Any) -> list[Branch]:
         """Follow every motion along the frequency, within the bounds, both ways.
 
         Motions on a branch that another one gave already are not followed again, so isolated
@@ -72,12 +76,34 @@ class Coexisting(eqx.Module):
 
         Raises `ValueError` for bounds or settings that cannot work.
         """
-        from vibrojax.branches.coexisting import branches_of
+        branches: list[Branch] = []
+        for motion in self.motions:
+            if any(self._is_on(branch, motion) for branch in branches):
+                continue
+            range_of: dict[str, Any] = {self.axis: bounds}
+            branch = continue_response(
+                self.system,
+                **range_of,
+                period=motion.period,
+                start=(motion.initial_state, self.value),
+                **settings,
+            )
+            assert isinstance(branch, Branch)
+            branches.append(branch)
+        return branches
 
-        return branches_of(self, bounds, **settings)
+    def _is_on(self, branch: Branch, motion: Motion) -> bool:
+        if branch.period != motion.period or not len(branch.values):
+            return False
+        here = branch.resample([self.value])
+        amplitude = np.asarray(here["amplitude_ratio"]).ravel()
+        force = np.asarray(here["contact_force"]).ravel()
+        near = np.abs(amplitude - motion.amplitude_ratio) < SAME * motion.amplitude_ratio
+        alike = np.abs(force - motion.contact_force) <= 1e-2 * max(motion.contact_force, 1e-12)
+        return bool(np.any(near & alike))
 
     @validated(traceable=True)
-    def history(self, index: int = 0, *, samples_per_period: int = 256) -> "History":
+    def history(self, index: int = 0, *, samples_per_period: int = 256) -> History:
         """Return one of the motions over its period as a time history.
 
         Parameters:
@@ -86,8 +112,6 @@ class Coexisting(eqx.Module):
 
         Raises `IndexError` when there is no such motion, `ValueError` for fewer than 1 sample.
         """
-        from vibrojax.history.simulate import simulate
-
         motion = self.motions[index]
         frequency: dict[str, Any] = {self.axis: self.value}
         state = eqx.filter_eval_shape(self.system.equations).split(motion.initial_state)

@@ -116,9 +116,9 @@ def continue_response(
     )
     work = BranchWork(plan, paths_of(along, exact))
     if start is not None:
-        return work.from_start(start)
-    branches = work.run()
-    return Branches(along.axes, tuple(branches)) if along.axes else branches[0]
+        return Branch.of(work.from_start(start))
+    branches = tuple(Branch.of(points) for points in work.run())
+    return Branches(along.axes, branches) if along.axes else branches[0]
 
 
 def samples_of(method: HarmonicBalance, tolerance: float, exact: bool) -> int:

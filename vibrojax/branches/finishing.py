@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.branches.branch import Branch, SpecialPoint
 from vibrojax.branches.lane_paths import references
 from vibrojax.branches.plan import Plan
+from vibrojax.branches.points import BranchPoints, SpecialPoint
 from vibrojax.branches.special_points import (
     Bracket,
     brackets_of,
@@ -61,7 +61,9 @@ REACH = 3
 """Farthest that the touch may lie along the branch, in points."""
 
 
-def finish(plan: Plan, paths: AbstractPath, traced: list[Traced], notes: list[str]) -> list[Branch]:
+def finish(
+    plan: Plan, paths: AbstractPath, traced: list[Traced], notes: list[str]
+) -> list[BranchPoints]:
     """Make the points exact, find the special ones and put the result together, lane by lane."""
     lane = np.repeat(np.arange(len(traced)), [len(t.parameter) for t in traced])
     columns = _columns(plan, paths, traced, lane)
@@ -85,7 +87,7 @@ def _branch(
     columns: Columns,
     depth: np.ndarray,
     points: tuple[SpecialPoint, ...],
-) -> Branch:
+) -> BranchPoints:
     natural = columns["natural"]
     begun = len(natural) > 0
     sentence = traced.ending.sentence if begun else "No periodic motion was found to start from."
@@ -93,7 +95,7 @@ def _branch(
     if inexact:
         which = "1 point is" if inexact == 1 else f"{inexact} points are"
         note += f" {which} harmonic balance only: no exact motion was found there."
-    return Branch(
+    return BranchPoints(
         axis=plan.axis,
         values=columns["parameter"],
         floquet_multipliers=columns["multipliers"],

@@ -12,9 +12,10 @@ from vibrojax._tools.checks import check_count
 from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.along import along_of
-from vibrojax.branches.branch import Branch, SpecialPoint
+from vibrojax.branches.branch import Branch
 from vibrojax.branches.continue_response import continue_response
 from vibrojax.branches.folds import Fold, fold_response
+from vibrojax.branches.points import SpecialPoint
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.variables import axis_description, described_as
 

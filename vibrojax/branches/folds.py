@@ -15,11 +15,11 @@ from jaxtyping import Array, Bool, Float
 
 from vibrojax._tools.described import shown_value
 from vibrojax._tools.signatures import validated
-from vibrojax.branches.branch import SpecialPoint
+from vibrojax.branches.points import SpecialPoint
 from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.steady.contact_times import MOST_EVENTS, Events, Orbit, follow_events
 from vibrojax.steady.implicit import frozen
-from vibrojax.steady.orbit_reading import Reading, find_crossings, read_course
+from vibrojax.steady.orbit_reading import Reading, find_crossings, read_motion
 from vibrojax.steady.paths import FrequencyPath, frequency_path
 from vibrojax.steady.starting import sampled_motion
 from vibrojax.stepping.choice import is_exact
@@ -95,16 +95,16 @@ def _condition(path: FrequencyPath, frame: _Frame, times, unknown):
 
     def end(x):
         orbit = Orbit(x * frame.size, times)
-        course = follow_events(path.tables(p), frame.events, orbit, 1, twice=True)
-        return course.end / frame.size, course
+        motion = follow_events(path.tables(p), frame.events, orbit, 1, twice=True)
+        return motion.end / frame.size, motion
 
-    matrix, course = jax.jacfwd(end, has_aux=True)(x)
-    after = course.end / frame.size
+    matrix, motion = jax.jacfwd(end, has_aux=True)(x)
+    after = motion.end / frame.size
     left, right = frame.border
     n = x.size
     bordered = jnp.block([[matrix - jnp.eye(n), left[:, None]], [right[None], jnp.zeros((1, 1))]])
     measure = jnp.linalg.solve(bordered, jnp.zeros(n + 1).at[-1].set(1.0))[-1]
-    return jnp.append(after - x, measure), (course, matrix)
+    return jnp.append(after - x, measure), (motion, matrix)
 
 
 @eqx.filter_jit
@@ -117,8 +117,8 @@ def _fold(system, state, value, is_ratio) -> Fold:
     value = unknown[-1]
     tables = path.tables(value)
     orbit = Orbit(unknown[:-1] * frame.size, times)
-    course = follow_events(tables, frame.events, orbit, 1)
-    reading = read_course(tables, frame.events, course, 1)
+    motion = follow_events(tables, frame.events, orbit, 1)
+    reading = read_motion(tables, frame.events, motion, 1)
     return _described(path, value, reading, good)
 
 
@@ -166,14 +166,14 @@ def _search(path: FrequencyPath, state, value) -> Any:
         def condition(u):
             return _condition(path, frame, times, u)
 
-        jacobian, (course, _) = jax.jacfwd(condition, has_aux=True)(unknown)
+        jacobian, (motion, _) = jax.jacfwd(condition, has_aux=True)(unknown)
         out, _ = condition(unknown)
         change = jnp.linalg.solve(jacobian, -out)
         length = jnp.max(jnp.abs(change))
         change = change * jnp.minimum(1.0, 0.1 / jnp.where(length > 0, length, 1.0))
         error = jnp.maximum(jnp.max(jnp.abs(out[:-1])), length)
         unknown = jnp.where(last, unknown, unknown + change)
-        return (unknown, jnp.where(last, times, course.times), jacobian, error), None
+        return (unknown, jnp.where(last, times, motion.times), jacobian, error), None
 
     n = unknown.size
     carry = unknown, found.times, jnp.zeros((n, n)), jnp.asarray(jnp.inf)

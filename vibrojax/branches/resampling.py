@@ -6,9 +6,9 @@ import jax
 import numpy as np
 
 from vibrojax._tools.described import in_short
-from vibrojax.branches.branch import CURVES, Branch
 from vibrojax.branches.finishing import ratios_of
 from vibrojax.branches.lane_paths import references
+from vibrojax.branches.points import CURVES, BranchPoints
 from vibrojax.branches.tracing import exact_from, make_exact
 from vibrojax.results.variables import VARIABLES, axis_description
 from vibrojax.steady.balanced_motion import read_all, solve_all
@@ -21,7 +21,7 @@ CREEPS = 8
 """Tries to close in on a value where the branch is steep."""
 
 
-def resample(branch: Branch, values: Any) -> "xarray.Dataset":
+def resample(branch: BranchPoints, values: Any) -> "xarray.Dataset":
     """Solve for the responses of a branch at given values; see `Branch.resample`."""
     import xarray
 
@@ -64,7 +64,7 @@ def resample(branch: Branch, values: Any) -> "xarray.Dataset":
     return xarray.Dataset(data, coordinates, attrs=dict(branch.attributes))
 
 
-def _crossings(branch: Branch, values: np.ndarray):
+def _crossings(branch: BranchPoints, values: np.ndarray):
     """Where the branch passes each value: value, times before, point before, way to the next."""
     x = branch.values
     at, which, first, shares = [], [], [], []
@@ -81,7 +81,7 @@ def _crossings(branch: Branch, values: np.ndarray):
     return np.array(at, int), np.array(which, int), np.array(first, int), np.array(shares)
 
 
-def _interpolated(branch: Branch, i: int, share: float) -> np.ndarray:
+def _interpolated(branch: BranchPoints, i: int, share: float) -> np.ndarray:
     """Cubic through the four neighbours, or a line at the ends and next to a fold."""
     depth, x = branch.depth, branch.values
     line = (1 - share) * depth[i] + share * depth[i + 1]
@@ -99,7 +99,7 @@ def _interpolated(branch: Branch, i: int, share: float) -> np.ndarray:
     return np.einsum("k,k...->...", weights, depth[i - 1 : i + 3])
 
 
-def _exactly(branch: Branch, values, first, share, depth):
+def _exactly(branch: BranchPoints, values, first, share, depth):
     """Exact motions at the values; where the branch is steep, by creeping along it."""
     lane = np.zeros(len(values), int)
     period = branch.period
@@ -124,7 +124,7 @@ def _exactly(branch: Branch, values, first, share, depth):
         high, above = np.where(same, high, middle), np.where(same, above, value)
         close = Guess(near.events, near.orbit, np.ones(len(left), bool))
     point = _replaced(branch, point, left, close, values)
-    # Next to a resonance without damping a sampled motion does not tell the state: from the points.
+    # Next to a resonance without damping samples do not determine the state: from the points.
     for way in (0, 1):
         left = np.flatnonzero(~point.valid)
         if len(left):
@@ -135,7 +135,7 @@ def _exactly(branch: Branch, values, first, share, depth):
     return point
 
 
-def _replaced(branch: Branch, point: ExactPoint, which, guess: Guess, values) -> ExactPoint:
+def _replaced(branch: BranchPoints, point: ExactPoint, which, guess: Guess, values) -> ExactPoint:
     """Put the motions found from guesses in the place of some points."""
     lane = np.zeros(len(which), int)
     found = exact_from(branch.path, lane, guess, values[which], period=branch.period, hold=True)
@@ -148,13 +148,13 @@ def _replaced(branch: Branch, point: ExactPoint, which, guess: Guess, values) ->
     return jax.tree.map(put, point, found)
 
 
-def _points(branch: Branch, values, first, share) -> dict[str, np.ndarray]:
+def _points(branch: BranchPoints, values, first, share) -> dict[str, np.ndarray]:
     """Read points of the branch itself."""
     index = first + share.astype(int)
     return {n: np.asarray(getattr(branch, n))[index] for n in (*CURVES, "stable", "initial_state")}
 
 
-def _solve(branch: Branch, values, first, share) -> dict[str, np.ndarray]:
+def _solve(branch: BranchPoints, values, first, share) -> dict[str, np.ndarray]:
     """Solve at the values held fixed; NaN where no motion is found near the branch."""
     lane = np.zeros(len(values), int)
     places = zip(first.tolist(), share.tolist(), strict=True)

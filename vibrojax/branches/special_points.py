@@ -49,7 +49,7 @@ def torus_test(multipliers: np.ndarray) -> np.ndarray:
 
 
 def on_circle(multipliers: np.ndarray) -> np.ndarray:
-    """Whether a complex pair is on the unit circle, near enough to be told from a real pair."""
+    """Whether a complex pair is on the unit circle, near enough to be no real pair."""
     near = np.abs(np.abs(multipliers) - 1) < 1e-3
     turned = np.abs(np.imag(multipliers)) > 1e-4
     return np.any(near & turned, axis=-1)

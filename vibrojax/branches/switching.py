@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.branches.branch import Branch
 from vibrojax.branches.continuation import LONGEST_STEP, Ending
 from vibrojax.branches.plan import Plan, Resolution
+from vibrojax.branches.points import BranchPoints
 from vibrojax.branches.tracing import Traced
 from vibrojax.branches.work import BranchWork
 from vibrojax.steady.batches import take
@@ -16,12 +16,12 @@ from vibrojax.steady.starting import sampled_depth, stepper
 
 
 def switch_branch(
-    branch: Branch,
+    branch: BranchPoints,
     number: int,
     *,
     max_points: int = 2000,
     longest_step: float = LONGEST_STEP,
-) -> Branch:
+) -> BranchPoints:
     """Follow the doubled period from a period doubling; see `Branch.switch`."""
     points = [p for p in branch.special_points if p.kind == "period_doubling"]
     if not 0 <= number < len(points):

@@ -185,12 +185,12 @@ def _exact(paths, guess, parameter, period, hold):
 
 
 @eqx.filter_jit
-def _states_at(paths, parameter, course, section, begin, period):
-    def one(path, parameter, course, section, begin):
+def _states_at(paths, parameter, motion, section, begin, period):
+    def one(path, parameter, motion, section, begin):
         tables = path.tables(parameter)
-        return state_at(tables, course, section, begin, period)
+        return state_at(tables, motion, section, begin, period)
 
-    return jax.vmap(one)(paths, parameter, course, section, begin)
+    return jax.vmap(one)(paths, parameter, motion, section, begin)
 
 
 def make_exact(
@@ -242,7 +242,7 @@ def exact_from(
     # Every batch has its own stack of paths, so that the number of lanes compiles nothing anew.
     paths = jax.device_get(paths)
 
-    def solve(i, points=None, courses=None):
+    def solve(i, points=None, motions=None):
         guess, at = take(guesses, i), parameter[i]
         here = localise(paths, lane[i], at, exact=True)
         if points is not None:
@@ -251,26 +251,26 @@ def exact_from(
             there = found.events.section
             guess = _guess(
                 found,
-                _states_at(here, points.parameter, courses, there, section, period),
+                _states_at(here, points.parameter, motions, there, section, period),
             )
         return _exact(here, guess, at, period, held[i])
 
-    best, courses = in_batches(solve, len(lane))
+    best, motions = in_batches(solve, len(lane))
     for _ in range(REPAIRS):
         left = np.flatnonzero(~best.valid)
         if not len(left):
             break
 
-        def repair(i, left=left, best=best, courses=courses):
-            return solve(left[i], take(best, left[i]), take(courses, left[i]))
+        def repair(i, left=left, best=best, motions=motions):
+            return solve(left[i], take(best, left[i]), take(motions, left[i]))
 
         again = in_batches(repair, len(left))
-        best, courses = _put((best, courses), again, left)
+        best, motions = _put((best, motions), again, left)
     if not isinstance(paths, FrequencyPath) and not held.all():
         # Near its value the path was taken to first order: once more from where the points are.
         guesses = Guess(best.events, best.orbit, np.ones(len(lane), bool))
         parameter = np.where(best.valid, best.parameter, parameter)
-        best, courses = in_batches(solve, len(lane))
+        best, motions = in_batches(solve, len(lane))
     return best
 
 

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax._tools.warn import warn
-from vibrojax.branches.branch import Branch
 from vibrojax.branches.continuation import Ending, Settings, begin
 from vibrojax.branches.finishing import finish
 from vibrojax.branches.plan import Plan, Resolution
+from vibrojax.branches.points import BranchPoints
 from vibrojax.branches.tracing import Traced, free_motion, trace_branches
 from vibrojax.model.states import ABOUT_STATES, as_state
 from vibrojax.steady.batches import take
@@ -75,11 +75,11 @@ class BranchWork:
             max_points=self.plan.max_points,
         )
 
-    def finished(self, traced: list[Traced], notes: list[str]) -> list[Branch]:
+    def finished(self, traced: list[Traced], notes: list[str]) -> list[BranchPoints]:
         """Make branches of the traces of all lanes."""
         return finish(self.plan, self.paths, traced, notes)
 
-    def run(self) -> list[Branch]:
+    def run(self) -> list[BranchPoints]:
         """Follow every lane from the low end of the range."""
         lanes = len(self.plan.labels)
         start = np.full(lanes, self.plan.low)
@@ -130,7 +130,7 @@ class BranchWork:
                     kept = f" and {harmonics} harmonics" if harmonics else ""
                     notes[k] = f" It was traced with {samples} samples{kept}, as a fallback."
 
-    def from_start(self, start: Any) -> Branch:
+    def from_start(self, start: Any) -> BranchPoints:
         """Follow a branch both ways from a motion inside the range."""
         plan = self.plan
         if len(plan.labels) != 1:
@@ -159,7 +159,7 @@ class BranchWork:
         return _with_distance(branch, state, np.asarray(weight))
 
 
-def _with_distance(branch: Branch, start: np.ndarray, weight: np.ndarray) -> Branch:
+def _with_distance(branch: BranchPoints, start: np.ndarray, weight: np.ndarray) -> BranchPoints:
     """Say it where a branch passes far from the state that it was to start from."""
     states = branch.initial_state * weight
     size = np.linalg.norm(states, axis=1)
@@ -167,12 +167,12 @@ def _with_distance(branch: Branch, start: np.ndarray, weight: np.ndarray) -> Bra
     nearest = np.min(away, where=np.isfinite(away), initial=np.inf)
     if not len(states) or nearest <= ELSEWHERE:
         return branch
-    told = (
+    doubt = (
         f"It passes {nearest:.2g} of its size away from the start: it may be another branch than "
         "the one meant."
     )
-    warn(f"From this start: {told} {ABOUT_STATES}")
-    return replace(branch, sentence=f"{branch.sentence} {told}")
+    warn(f"From this start: {doubt} {ABOUT_STATES}")
+    return replace(branch, sentence=f"{branch.sentence} {doubt}")
 
 
 def _joined(up: Traced, down: Traced) -> tuple[Traced, str]:

@@ -298,14 +298,14 @@ def fit(
     ] = (),
     decimal: Annotated[
         Literal[".", ","] | None,
-        _option("decimal sign of the file", "{.,,}", "told by its numbers, if they can"),
+        _option("decimal sign of the file", "{.,,}", "read off its numbers, if they can"),
     ] = None,
     quantity: Annotated[
         Literal["amplitude", "peak", "peak_to_peak", "rms", "first_harmonic"] | None,
         _option(
             "what of the signal was measured; amplitude is (max - min)/2",
             "{amplitude,peak,peak_to_peak,rms,first_harmonic}",
-            "told by the header, else amplitude",
+            "read off the header, else amplitude",
         ),
     ] = None,
     frame: Annotated[

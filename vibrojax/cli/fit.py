@@ -116,20 +116,20 @@ def pairs(option: str, texts: Sequence[str], example: str) -> dict[str, str]:
 def guesses(system: ImpactingBeam, names: Sequence[str], given: Sequence[str]) -> dict[str, float]:
     """Return the first value of every number to fit: as given, else as the rig has it."""
     known = rig_numbers(system)
-    told = pairs("--guess", given, "stiffness=3000")
-    _check_fitted("--guess", told, names)
+    by_name = pairs("--guess", given, "stiffness=3000")
+    _check_fitted("--guess", by_name, names)
     return {
-        name: _number("--guess", name, told[name]) if name in told else known[name]
+        name: _number("--guess", name, by_name[name]) if name in by_name else known[name]
         for name in names
     }
 
 
 def bounds(names: Sequence[str], given: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return the bounds of the numbers to fit: as given, else where there is no rig beyond."""
-    told = pairs("--bounds", given, "stiffness=100:1e5")
-    _check_fitted("--bounds", told, names)
+    by_name = pairs("--bounds", given, "stiffness=100:1e5")
+    _check_fitted("--bounds", by_name, names)
     found = {name: _BOUNDS[name] for name in names if name in _BOUNDS}
-    for name, text in told.items():
+    for name, text in by_name.items():
         ends = text.split(":")
         if len(ends) != 2:
             raise ValueError(
@@ -140,8 +140,8 @@ def bounds(names: Sequence[str], given: Sequence[str]) -> dict[str, tuple[float,
     return found
 
 
-def _check_fitted(option: str, told: Mapping[str, str], names: Sequence[str]) -> None:
-    for name in told:
+def _check_fitted(option: str, by_name: Mapping[str, str], names: Sequence[str]) -> None:
+    for name in by_name:
         if name not in names:
             raise ValueError(
                 f"{option} of {name!r}, which is not fitted: {', '.join(names)} "
@@ -168,10 +168,10 @@ def read_curve(
     named: dict[str, str | int | None] = {}
     for key, value in pairs("--columns", columns, "frequency=f_Hz").items():
         named[key] = int(value) if value.isdecimal() else None if value == "none" else value
-    told = pairs("--units", units, "amplitude=mm")
+    by_name = pairs("--units", units, "amplitude=mm")
     try:
         found = read_measured_curve(
-            path, columns=named, units=told, quantity=quantity, frame=frame, decimal=decimal
+            path, columns=named, units=by_name, quantity=quantity, frame=frame, decimal=decimal
         )
     except ValueError as error:
         raise ValueError(_as_options(str(error))) from None

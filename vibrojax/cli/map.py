@@ -20,7 +20,8 @@ from vibrojax.ensemble.arguments import Zipped, zipped
 from vibrojax.io.rig_file import check_most, frequency_range, one_frequency, read_map, spaced
 from vibrojax.maps.continuation_curves import ContinuationCurve
 from vibrojax.maps.periodic_points import PeriodicPoints
-from vibrojax.maps.responses import AbstractMapResponse, SettledSweep
+from vibrojax.maps.responses import AbstractMapResponse
+from vibrojax.maps.settled_sweep import SettledSweep
 from vibrojax.maps.store import map_at
 from vibrojax.maps.store_files import is_full
 from vibrojax.maps.template import FAILED
@@ -78,7 +79,7 @@ def run(options: MapOptions) -> int:
 
     def compute(**more: Any) -> Any:
         with warnings.catch_warnings():
-            # Told at the end instead.
+            # Said at the end instead.
             warnings.filterwarnings("ignore", message=r"[\d,]+ of [\d,]+ chunks failed")
             return parameter_map(call.make, *call.groups, store=store, **more, **call.keywords)
 
@@ -92,13 +93,13 @@ def run(options: MapOptions) -> int:
     except KeyboardInterrupt:
         if store is None or not store.exists():
             raise
-        told = f"interrupted. Whole chunks are in {store}: the same command continues."
-        raise KeyboardInterrupt(told) from None
+        message = f"interrupted. Whole chunks are in {store}: the same command continues."
+        raise KeyboardInterrupt(message) from None
     except OSError as error:
         if not is_full(error):
             raise
-        told = "the disk is full. Whole chunks stay: make room, and the same command continues"
-        raise OSError(error.errno, told, os.fspath(store or "")) from None
+        message = "the disk is full. Whole chunks stay: make room, and the same command continues"
+        raise OSError(error.errno, message, os.fspath(store or "")) from None
     computed = time.perf_counter()
     written, notes = _draw(found, {drawing: "plot_map", summary: "plot_map_summary"})
     if not options.quiet:
@@ -143,9 +144,9 @@ def axes_of(
     Raises `ValueError` for what is no axis, a number given twice, a group of the file of which the
     options name only a part, no axis at all, or more than 1e9 lanes.
     """
-    told = [[read_axis("--axis", text) for text in texts] for texts in crossed]
+    parts = [[read_axis("--axis", text) for text in texts] for texts in crossed]
     groups = [[read_axis("--zipped", text) for text in texts] for texts in grouped]
-    names = [name for part in (*told, *groups) for name, _ in part]
+    names = [name for part in (*parts, *groups) for name, _ in part]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"{name} is given twice: it goes along one axis only.")
@@ -161,7 +162,7 @@ def axes_of(
         if left:
             kept.append(group)
     own = {name: v for name, v in asked.get("axes", {}).items() if name not in names}
-    axes = own | dict(pair for part in told for pair in part)
+    axes = own | dict(pair for part in parts for pair in part)
     groups = [*kept, *(dict(group) for group in groups if group)]
     if not axes and not groups:
         raise ValueError(
@@ -283,7 +284,7 @@ def _lanes_known(store: Path) -> int:
         return 0
     try:
         states = xarray.open_zarr(store, chunks=None)["lane_status"].values
-    except Exception:  # damaged: the map itself will tell and mend that
+    except Exception:  # damaged: the map itself reports and mends that
         return 0
     return int((states < FAILED).sum())
 
@@ -315,7 +316,7 @@ def _tell_failures(found: xarray.Dataset) -> int:
     """Say on the error stream what failed, and return the exit code."""
     if not (found["lane_status"].values == FAILED).any():
         return 0
-    told = str(found.attrs.get("summary", "Chunks of the map failed."))
-    told = told.replace("The same call with the same store again", "The same command again")
-    print(f"vibrojax: {told}", file=sys.stderr)
+    summary = str(found.attrs.get("summary", "Chunks of the map failed."))
+    summary = summary.replace("The same call with the same store again", "The same command again")
+    print(f"vibrojax: {summary}", file=sys.stderr)
     return 1

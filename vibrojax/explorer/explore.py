@@ -13,8 +13,9 @@ from vibrojax._tools.kinds import is_list
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.along import along_of
 from vibrojax.ensemble.arguments import default_of
-from vibrojax.explorer.explorer import Explorer, Measurement, Slider
+from vibrojax.explorer.explorer import Explorer, Measurement
 from vibrojax.explorer.live_curve import CurveTracer
+from vibrojax.explorer.sliders import Slider
 from vibrojax.identification.curve_misfit import sensor_of
 from vibrojax.identification.fitted_data import described_amplitude
 from vibrojax.identification.sensor import Sensor

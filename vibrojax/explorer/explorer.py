@@ -11,31 +11,19 @@ from vibrojax._tools.files import path_of
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continuation import Ending
-from vibrojax.explorer.live_curve import CurveTracer, LiveCurve
+from vibrojax.branches.continue_response import continue_response
+from vibrojax.explorer.live_curve import CurveTracer, LiveCurve, highest_stable, nearest_point
 from vibrojax.explorer.live_orbit import LiveOrbit, orbit_at
+from vibrojax.explorer.sliders import Slider, unit_of
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.saving import whole_files
-from vibrojax.results.variables import axis_unit, named_value
+from vibrojax.results.variables import named_value
 
 if TYPE_CHECKING:
     from vibrojax.explorer.picture import LivePicture
 
 NOTE = "A still picture: the sliders are there where the notebook runs (in Jupyter, ipywidgets)."
-
-
-class Slider(NamedTuple):
-    """One number that can be moved."""
-
-    low: float
-    high: float
-    value: float
-    """Where it starts."""
-
-    @property
-    def is_logarithmic(self) -> bool:
-        """Whether its range spans so much that it moves in decades."""
-        return self.low > 0 and self.high > 20 * self.low
 
 
 class Measurement(NamedTuple):
@@ -155,8 +143,6 @@ class Explorer:
 
         Raises `ValueError` as `system` does.
         """
-        from vibrojax.branches.continue_response import continue_response
-
         tracer = self._tracer
         frequencies: dict[str, Any] = {tracer.axis: (tracer.low, tracer.high)}
         found = continue_response(self.system(**numbers), **frequencies)
@@ -252,30 +238,6 @@ class Explorer:
         return words + f"Drawn in {1e3 * seconds:.0f} ms."
 
 
-def nearest_point(curve: LiveCurve, frequency: float) -> int:
-    """Return the point of a curve nearest to a frequency; of several the highest stable one.
-
-    Raises `ValueError` where no curve was found.
-    """
-    if not len(curve.frequency):
-        raise ValueError(f"There is no curve to take an orbit from: {curve.ending.sentence}")
-    away = np.abs(curve.frequency - frequency)
-    ends = np.pad(away, 1, constant_values=np.inf)
-    passes = np.flatnonzero((away <= ends[:-2]) & (away <= ends[2:]))
-    # Where the curve turns round before it gets there it does not pass the frequency.
-    longest = np.max(np.abs(np.diff(curve.frequency)), initial=0.0)
-    passes = passes[away[passes] <= max(longest, away.min())]
-    stable = passes[curve.stable[passes]]
-    chosen = stable if len(stable) else passes
-    return int(chosen[np.argmax(curve.response[chosen])])
-
-
-def highest_stable(curve: LiveCurve) -> int:
-    """Return the point of the largest stable response (of all, where none is stable)."""
-    shown = np.where(curve.stable, curve.response, -np.inf)
-    return int(np.argmax(shown if np.isfinite(shown).any() else curve.response))
-
-
 def kernel_is_live() -> bool:
     """Whether this runs in the kernel of a notebook."""
     try:
@@ -283,15 +245,3 @@ def kernel_is_live() -> bool:
     except ImportError:
         return False
     return hasattr(get_ipython(), "kernel")
-
-
-def unit_of(name: str) -> str:
-    """Return the unit of a number, or nothing where it has or is known by none."""
-    unit = axis_unit(name)
-    return "" if unit == "1" else unit
-
-
-def label_of_number(name: str) -> str:
-    """Return the name of a number with its unit, where it is known."""
-    unit = unit_of(name)
-    return f"{name} ({unit})" if unit else name

@@ -126,11 +126,11 @@ def _contact_monodromy(path: FrequencyPath, place: Place, depth, force):
     tables = tables_of(path.phases, place.drive, place.angular_frequency)
     orbit = Orbit(state, found.times)
     number = found.events.number
-    course = follow_events(tables, found.events, orbit, 1, number, with_jacobian=True)
-    assert course.jacobian is not None
+    motion = follow_events(tables, found.events, orbit, 1, number, with_jacobian=True)
+    assert motion.jacobian is not None
     weight = path.phases.weight
     return jnp.where(
-        found.number <= MOST_EVENTS, weight[:, None] * course.jacobian / weight, jnp.nan
+        found.number <= MOST_EVENTS, weight[:, None] * motion.jacobian / weight, jnp.nan
     )
 
 
@@ -259,3 +259,27 @@ class CurveTracer(eqx.Module):
             path=path,
             harmonics=harmonics,
         )
+
+
+def nearest_point(curve: LiveCurve, frequency: float) -> int:
+    """Return the point of a curve nearest to a frequency; of several the highest stable one.
+
+    Raises `ValueError` where no curve was found.
+    """
+    if not len(curve.frequency):
+        raise ValueError(f"There is no curve to take an orbit from: {curve.ending.sentence}")
+    away = np.abs(curve.frequency - frequency)
+    ends = np.pad(away, 1, constant_values=np.inf)
+    passes = np.flatnonzero((away <= ends[:-2]) & (away <= ends[2:]))
+    # Where the curve turns round before it gets there it does not pass the frequency.
+    longest = np.max(np.abs(np.diff(curve.frequency)), initial=0.0)
+    passes = passes[away[passes] <= max(longest, away.min())]
+    stable = passes[curve.stable[passes]]
+    chosen = stable if len(stable) else passes
+    return int(chosen[np.argmax(curve.response[chosen])])
+
+
+def highest_stable(curve: LiveCurve) -> int:
+    """Return the point of the largest stable response (of all, where none is stable)."""
+    shown = np.where(curve.stable, curve.response, -np.inf)
+    return int(np.argmax(shown if np.isfinite(shown).any() else curve.response))

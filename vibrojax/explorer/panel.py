@@ -4,17 +4,15 @@ import asyncio
 import html
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, runtime_checkable
 
 import ipywidgets
 import numpy as np
 
-from vibrojax.explorer.explorer import highest_stable, label_of_number
-from vibrojax.explorer.live_curve import MOST_QUICK_POINTS, LiveCurve
+from vibrojax.explorer.live_curve import MOST_QUICK_POINTS, LiveCurve, highest_stable
 from vibrojax.explorer.live_orbit import orbit_at
-
-if TYPE_CHECKING:
-    from vibrojax.explorer.explorer import Explorer, Slider
+from vibrojax.explorer.picture import LivePicture
+from vibrojax.explorer.sliders import Slider, label_of_number
 
 STEPS = 100
 """Steps of a slider over its range."""
@@ -29,10 +27,33 @@ HELP = (
 )
 
 
+@runtime_checkable
+class Explored(Protocol):
+    """What is shown: an `Explorer`."""
+
+    sliders: dict[str, Slider]
+
+    def picture(self) -> LivePicture:
+        """Return an empty picture."""
+        ...
+
+    def curve(self, **numbers: float) -> LiveCurve:
+        """Return the curve of some numbers."""
+        ...
+
+    def quick_curve(self, winds: bool, **numbers: float) -> LiveCurve:
+        """Return the curve of some numbers, or a quick look."""
+        ...
+
+    def sentence(self, curve: LiveCurve, at: int | None, seconds: float) -> str:
+        """Say in words what is drawn."""
+        ...
+
+
 class Panel:
     """Sliders, picture, and what they say."""
 
-    def __init__(self, explorer: "Explorer"):
+    def __init__(self, explorer: Explored):
         self._explorer = explorer
         self._picture = explorer.picture()
         self._sliders = {name: _slider(name, s) for name, s in explorer.sliders.items()}
@@ -161,7 +182,7 @@ def _wide() -> dict[str, Any]:
     return {"style": {"description_width": "150px"}, "layout": {"width": "98%"}}
 
 
-def _slider(name: str, slider: "Slider") -> Any:
+def _slider(name: str, slider: Slider) -> Any:
     shared = {"description": label_of_number(name), "readout_format": ".4g", **_wide()}
     if slider.is_logarithmic:
         low, high = np.log10(slider.low), np.log10(slider.high)

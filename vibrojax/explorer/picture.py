@@ -27,7 +27,7 @@ from vibrojax.plot.style import COLORS, DASHES, GREY, MARKERS, SMALL, balanced, 
 SIZE, DPI = (11.0, 5.2), 100
 """Of a picture that is drawn again and again: more dots would take longer."""
 SHADES = 24
-"""Of a colour, down to white: more would be too near to white to be told from it."""
+"""Of a colour, down to white: more would look white."""
 PLACES = 25
 """Frequencies at which a sweep has its marker."""
 BRANCH, ORBIT = COLORS["black"], COLORS["violet"]

@@ -61,7 +61,7 @@ def swept_curve(curve: LiveCurve, way: int) -> Sweep:
 
 
 def _first(frequency, stable, way: int) -> int | None:
-    """First stable point that a sweep comes to."""
+    """First stable point that a sweep reaches."""
     if not stable.any():
         return None
     return int(np.argmin(np.where(stable, way * frequency, np.inf)))

@@ -10,27 +10,28 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, Int
 
+from vibrojax._tools.types import AnyArray
 from vibrojax.history import finer_steps
 from vibrojax.history.exact_pieces import (
     Drives,
     Pieces,
     batch_size,
     batches,
-    begin_course,
     exact_pieces,
-    follow,
     lanes_of,
     places_for,
-    read_stops,
     starting_phases,
-    touching_bits,
 )
 from vibrojax.history.finer_steps import Flow, Rows
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.systems import Motion
-from vibrojax.stepping.elementary import cubic_maximum
+from vibrojax.stepping.contact_phases import ContactPhases
+from vibrojax.stepping.cubic import cubic_between, cubic_maximum
+from vibrojax.stepping.phase_motion import begin_phase, follow, read_stops, touching_bits
 
+Nodes = Float[AnyArray, " nodes"]
 Times = Float[np.ndarray, " samples"]
 States = Float[np.ndarray, "samples states"]
 
@@ -87,7 +88,9 @@ def flow(motion: Motion, time: Times, states: States) -> Flow:
     loss[:, :-1] += np.where(left, measured.by_stop["stored_end"][:, :-1], 0.0)
     loss[:, :-1] -= np.where(entered, measured.by_stop["stored_start"][:, 1:], 0.0)
 
-    def per_interval(values):
+    def per_interval(
+        values: Float[np.ndarray, "rows pieces"],
+    ) -> Float[np.ndarray, "intervals rows"]:
         sums = [np.bincount(pieces.interval, v, time.size - 1) for v in values]
         return np.array(sums).reshape(-1, time.size - 1).T
 
@@ -176,14 +179,15 @@ class _Measured(NamedTuple):
 
 
 def _measure(motion: Motion, time: Times, pieces: Pieces, drives: Drives) -> _Measured:
-    phases = motion.prepared
+    phases, linear = motion.prepared, motion.equations.linear
+    assert linear is not None
     places = places_for(phases, float(np.max(np.diff(time))))
     length = pieces.end - pieces.start
     columns: dict[str, np.ndarray] = {}
     for p, items, filled in batches(pieces.phase, batch_size(places)):
         part = _measure_batch(
             phases,
-            motion.equations,
+            linear,
             jnp.asarray(p),
             lanes_of(pieces, drives, filled),
             jnp.asarray(length[filled]),
@@ -196,7 +200,7 @@ def _measure(motion: Motion, time: Times, pieces: Pieces, drives: Drives) -> _Me
 
 
 @lru_cache
-def _nodes(places: int) -> tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]:
+def _nodes(places: int) -> tuple[Nodes, Nodes]:
     """Places and weights of Gauss-Lobatto quadrature on [0, 1], enough for squared motions."""
     count = 6 + 3 * places // 4
     polynomial = np.polynomial.legendre.Legendre.basis(count - 1)
@@ -210,15 +214,22 @@ def _nodes(places: int) -> tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, 
 
 
 @eqx.filter_jit
-def _measure_batch(phases, equations, phase, lanes, length, nodes):
+def _measure_batch(
+    phases: ContactPhases,
+    equations: LinearEquations,
+    phase: Int[Array, ""],
+    lanes: tuple[Array, ...],
+    length: Float[Array, " lanes"],
+    nodes: tuple[Nodes, Nodes],
+) -> dict[str, Array]:
     share, weights = nodes
-    course, n = begin_course(phases, phase, *lanes), phases.num_blocks
+    motion, n = begin_phase(phases, phase, *lanes), phases.num_blocks
     time = length[:, None] * share
-    blocks = follow(phases, phase, course, time)
+    blocks = follow(phases, phase, motion, time)
     to_state = phases.to_state[phase]
     v = jnp.tensordot(to_state[n:], blocks[0], axes=1)
 
-    def integral(values):
+    def integral(values: Float[Array, "*rows lanes nodes"]) -> Float[Array, "*rows lanes"]:
         return length * (values @ weights)
 
     mass = equations.modal_mass[:, None, None]
@@ -227,7 +238,7 @@ def _measure_batch(phases, equations, phase, lanes, length, nodes):
     if equations.damping_coupling is not None:
         deceleration = deceleration + jnp.tensordot(equations.damping_coupling, v, axes=1)
     _, _, rate, amplitude = lanes
-    angle = course.angle[:, None] + rate[:, None] * time
+    angle = motion.angle[:, None] + rate[:, None] * time
     drive = amplitude.real[:, None] * jnp.sin(angle) + amplitude.imag[:, None] * jnp.cos(angle)
     power = drive * jnp.tensordot(equations.modal_mass * equations.input_map, v, axes=1)
 
@@ -239,7 +250,9 @@ def _measure_batch(phases, equations, phase, lanes, length, nodes):
     stored = jnp.where(held, k * depth**2 / 2, 0.0)
     cell = length[:, None] * jnp.diff(share)
 
-    def top(values, slopes):
+    def top(
+        values: Float[Array, "stops lanes nodes"], slopes: Float[Array, "stops lanes nodes"]
+    ) -> Float[Array, "stops lanes"]:
         ends = (values[..., :-1], slopes[..., :-1] * cell, values[..., 1:], slopes[..., 1:] * cell)
         return jnp.max(cubic_maximum(*ends), axis=-1)
 
@@ -259,13 +272,25 @@ def _measure_batch(phases, equations, phase, lanes, length, nodes):
 
 
 @eqx.filter_jit
-def _extremes(phases, phase, lanes, begin, length, shape, nodes, *, quantity):
+def _extremes(
+    phases: ContactPhases,
+    phase: Int[Array, ""],
+    lanes: tuple[Array, ...],
+    begin: Float[Array, " lanes"],
+    length: Float[Array, " lanes"],
+    shape: Float[Array, " coordinates"],
+    nodes: tuple[Nodes, Nodes],
+    *,
+    quantity: str,
+) -> tuple[Float[Array, " lanes"], Float[Array, " lanes"]]:
     share, _ = nodes
-    course, n = begin_course(phases, phase, *lanes), phases.num_blocks
+    motion, n = begin_phase(phases, phase, *lanes), phases.num_blocks
     rows = shape @ phases.to_state[phase][:n]
 
-    def look(time):
-        blocks = follow(phases, phase, course, time)
+    def look(
+        time: Float[Array, "lanes *nodes"],
+    ) -> tuple[Float[Array, "lanes *nodes"], ...]:
+        blocks = follow(phases, phase, motion, time)
         if quantity == "contact_force":
             depth, rate, acceleration = read_stops(phases, phase, blocks)
             held = touching_bits(phases, phase).astype(depth.dtype)
@@ -282,7 +307,7 @@ def _extremes(phases, phase, lanes, begin, length, shape, nodes, *, quantity):
     value, slope = look(time)
     cell = length[:, None] * jnp.diff(share)
 
-    def best(sign):
+    def best(sign: float) -> tuple[Float[Array, " lanes"], ...]:
         """Largest value of a sign: by the cubics of the cells, then by the motion itself."""
         y, d = sign * value, sign * slope
         f0, f1, d0, d1 = y[:, :-1], y[:, 1:], d[:, :-1] * cell, d[:, 1:] * cell
@@ -291,10 +316,8 @@ def _extremes(phases, phase, lanes, begin, length, shape, nodes, *, quantity):
             jnp.take_along_axis(a, first, axis=1)[:, 0]
             for a in (f0, f1, d0, d1, cell, time[:, :-1])
         )
-        curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
-        below = jnp.sqrt(jnp.maximum(curve**2 - 3 * bend * d0, 0.0)) - curve
-        u = jnp.where(below > 0, d0 / jnp.where(below > 0, below, 1.0), 0.0)
-        inside = at + jnp.clip(u, 0.0, 1.0) * width
+        u, height = cubic_between(f0, d0, f1, d1).peak()
+        inside = at + jnp.where(height > f0, u, 0.0) * width
         times = jnp.stack([inside, at, at + width])
         values = jnp.stack([sign * look(inside)[0], f0, f1])
         pick = jnp.argmax(values, axis=0)[None]

@@ -10,13 +10,13 @@ from vibrojax._tools.checks import check_range, is_traced, nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.history.between_samples import contact_rows, largest
 from vibrojax.history.finer_steps import Rows
+from vibrojax.history.samples import SampledMotion
 from vibrojax.results.status import Status
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from vibrojax.history.history import History
 
 COLUMNS = {
     "stop": ("1", "Stop, from 1"),
@@ -132,7 +132,7 @@ class Contacts:
         return "\n".join(lines)
 
 
-def contacts_of(history: "History") -> Contacts:
+def contacts_of(history: SampledMotion) -> Contacts:
     """Tabulate the contacts of a history; see `History.contacts`."""
     time, states = samples_of(history, "contacts")
     found = contact_rows(history.motion, time, states)
@@ -180,7 +180,7 @@ def _contacts(rows: Rows, stop: int) -> dict[str, np.ndarray]:
 
 
 def peak_of(
-    history: "History",
+    history: SampledMotion,
     quantity: str,
     position: ArrayLike | None,
     start: float | int,
@@ -192,12 +192,12 @@ def peak_of(
     if quantity == "contact_force":
         shape = np.zeros(history.coordinates.shape[1])
     else:
-        shape = np.asarray(history._shape(position))
+        shape = np.asarray(history.shape_at(position))
     return Peak(*largest(history.motion, time, states, quantity, shape, float(start)))
 
 
 def samples_of(
-    history: "History", what: str
+    history: SampledMotion, what: str
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, "samples states"]]:
     """Return times and states of one finished history.
 

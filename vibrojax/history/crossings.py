@@ -1,19 +1,17 @@
 """Where a sampled signal passes a level, and what else is then: cubics between the samples."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from vibrojax._tools.checks import is_traced
 from vibrojax.history.quantities import quantity_of
+from vibrojax.history.samples import SampledMotion
 from vibrojax.results.status import Status
 
-if TYPE_CHECKING:
-    from vibrojax.history.history import History
 
-
-def check_whole(history: "History", what: str) -> None:
+def check_whole(history: SampledMotion, what: str) -> None:
     """Raise `ValueError` unless it is one finished history of known numbers."""
     if is_traced(history.time) or np.ndim(history.time) != 1:
         raise ValueError(
@@ -27,7 +25,7 @@ def check_whole(history: "History", what: str) -> None:
         raise ValueError(f"{what} cannot be read from a history of one sample.")
 
 
-def curve_of(history: "History", quantity: str) -> Any:
+def curve_of(history: SampledMotion, quantity: str) -> Any:
     """Return a quantity as a piecewise cubic of scipy over time (s).
 
     Through values and rates at the samples; where the rate may jump, without overshoot.

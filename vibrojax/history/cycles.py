@@ -1,6 +1,6 @@
 """The cycles of a history, one by one: how long each is, in seconds and in drive periods."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,8 @@ from vibrojax._tools.checks import check_count, check_not_negative, check_positi
 from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.history.crossings import check_whole, crossings, curve_of
-from vibrojax.history.quantities import check_quantity, observables_of, unit_and_label
+from vibrojax.history.quantities import check_quantity, observables_of, quantity_of, unit_and_label
+from vibrojax.history.samples import SampledMotion
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES, described_as
 
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from vibrojax.history.histories import Histories
-    from vibrojax.history.history import History
 
 HYSTERESIS = 0.3
 """Default threshold over the rms of the quantity about the level."""
@@ -139,31 +138,31 @@ class Cycles:
         def each(read: Any) -> Float[np.ndarray, " bins"]:
             return np.array([read(group) if group.size else np.nan for group in groups], float)
 
-        def told(long_name: str, units: str = "1") -> dict[str, str]:
+        def described(long_name: str, units: str = "1") -> dict[str, str]:
             return {"units": units, "long_name": long_name}
 
         length = self.drive_periods
-        data: dict[str, Any] = {"count": ([len(g) for g in groups], told("Cycles"))}
+        data: dict[str, Any] = {"count": ([len(g) for g in groups], described("Cycles"))}
         for name, read in (
             ("median", np.median),
             ("mean", np.mean),
             ("standard_deviation", np.std),
         ):
             words = f"{name.replace('_', ' ').capitalize()} of the cycle length in drive periods"
-            data[name] = each(lambda g, read=read: read(length[g])), told(words)
+            data[name] = each(lambda g, read=read: read(length[g])), described(words)
         for order, within in share_of.items():
             share = each(lambda g, n=order, w=within: np.mean(np.abs(length[g] - n) <= w))
             words = f"Share of cycles within {within:g} of {order} drive periods"
-            data[f"share_of_{order}"] = share, told(words)
+            data[f"share_of_{order}"] = share, described(words)
         for name, values in self.largest.items():
             units, label = unit_and_label(name)
             most = each(lambda g, values=values: np.max(values[g]))
-            data[f"largest_{name}"] = most, told(f"Largest {label.lower()}", units)
+            data[f"largest_{name}"] = most, described(f"Largest {label.lower()}", units)
         hertz = {"frequency": (bounds[1:] + bounds[:-1]) / 2}
         hertz |= {"lower_edge": bounds[:-1], "upper_edge": bounds[1:]}
         names = ("Drive frequency", "Lower edge of the bin", "Upper edge of the bin")
         coordinates = {
-            name: ("frequency", values, told(words, "Hz"))
+            name: ("frequency", values, described(words, "Hz"))
             for (name, values), words in zip(hertz.items(), names, strict=True)
         }
         return xarray.Dataset(
@@ -186,7 +185,7 @@ class Cycles:
         import xarray
 
         units, label = unit_and_label(self.quantity)
-        told = {
+        described = {
             "start": ("s", "Start of the cycle"),
             "length": ("s", "Length of the cycle"),
             "drive_periods": VARIABLES["drive_periods"],
@@ -194,13 +193,13 @@ class Cycles:
             "peak_to_peak": (units, f"{label}, peak to peak"),
             "history": ("1", "History, from 1"),
         }
-        columns = {name: getattr(self, name) for name in told}
+        columns = {name: getattr(self, name) for name in described}
         for name, values in self.largest.items():
             units, label = unit_and_label(name)
-            told[f"largest_{name}"] = units, f"Largest {label.lower()} of the cycle"
+            described[f"largest_{name}"] = units, f"Largest {label.lower()} of the cycle"
             columns[f"largest_{name}"] = values
         data = {
-            name: ("cycle", values, dict(zip(("units", "long_name"), told[name], strict=True)))
+            name: ("cycle", values, dict(zip(("units", "long_name"), described[name], strict=True)))
             for name, values in columns.items()
         }
         cycle = np.arange(1, len(self) + 1)
@@ -240,7 +239,7 @@ class Cycles:
 
 
 def cycles_of(
-    history: "History", quantity: str, level: float | int, threshold: float | int | None
+    history: SampledMotion, quantity: str, level: float | int, threshold: float | int | None
 ) -> Cycles:
     """Read the cycles of one history; see `History.cycles`."""
     check_quantity(history.motion.equations, quantity)
@@ -249,7 +248,7 @@ def cycles_of(
         check_not_negative("threshold", threshold, unit_and_label(quantity)[0])
     if concrete(level) is None or not np.isfinite(level):
         raise ValueError(f"level must be a finite number, got {level!r}.")
-    time, values = np.asarray(history.time), np.asarray(history.quantity(quantity))
+    time, values = np.asarray(history.time), np.asarray(quantity_of(history, quantity)[0])
     if threshold is None:
         threshold = HYSTERESIS * float(np.sqrt(np.mean((values - level) ** 2)))
     ends = counted(curve_of(history, quantity), time, values, float(level), float(threshold))
@@ -270,7 +269,7 @@ def cycles_of(
         drive_periods=np.diff(np.asarray(phase)) / (2 * np.pi),
         drive_frequency=np.asarray(rate) * np.ones(len(middle)) / (2 * np.pi),
         peak_to_peak=each(np.ptp, values),
-        largest={name: each(np.max, np.asarray(history.quantity(name))) for name in watched},
+        largest={name: each(np.max, np.asarray(quantity_of(history, name)[0])) for name in watched},
         quantity=quantity,
         level=float(level),
         threshold=np.array([threshold], float),
@@ -295,7 +294,10 @@ def counted(
 
 
 def cycles_of_each(
-    histories: "Histories", quantity: str, level: float | int, threshold: float | int | None
+    histories: Iterable[SampledMotion],
+    quantity: str,
+    level: float | int,
+    threshold: float | int | None,
 ) -> Cycles:
     """Read and pool the cycles of all histories; see `Histories.cycles`."""
     each = list(histories)

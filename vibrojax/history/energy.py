@@ -10,13 +10,13 @@ from vibrojax._tools.checks import check_choice
 from vibrojax._tools.signatures import validated
 from vibrojax.history.between_samples import flow
 from vibrojax.history.contacts import samples_of
+from vibrojax.history.samples import SampledMotion
 from vibrojax.results.variables import described_as
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from vibrojax.history.history import History
 
 KINDS = ("stacked", "lines")
 
@@ -131,7 +131,7 @@ class EnergyFlow:
         )
 
 
-def energy_of(history: "History") -> EnergyFlow:
+def energy_of(history: SampledMotion) -> EnergyFlow:
     """Follow the energy of a history; see `History.energy`."""
     time, states = samples_of(history, "energies")
     between = flow(history.motion, time, states)

@@ -13,13 +13,26 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Complex, Float, Int, Shaped
 
-from vibrojax._tools.trigonometry import cosine
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.systems import Motion
-from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
-from vibrojax.stepping.resonance import driven_growth
+from vibrojax.stepping.contact_phases import ContactPhases
+from vibrojax.stepping.cubic import Cubic, cubic_between
+from vibrojax.stepping.phase_motion import (
+    OfStops,
+    PerLane,
+    Phase,
+    PhaseMotion,
+    begin_phase,
+    breach_of,
+    contact_indicator,
+    follow,
+    pushes_of,
+    read_stops,
+)
+
+Number = Float[Array, ""]
 
 MOST_ROUNDS = 64
 """Events within one sample interval before it is given up."""
@@ -50,18 +63,6 @@ class Pieces(NamedTuple):
     """(q, q') where the piece begins."""
 
 
-class Course(NamedTuple):
-    """The motion of lanes in one phase, from where their pieces begin."""
-
-    blocks: Float[Array, "states lanes"]
-    """Block coordinates of the free part."""
-    steady: Complex[Array, "states lanes"]
-    driven: Complex[Array, "states lanes"]
-    """Input of blocks in resonance, which have no steady response."""
-    angle: Float[Array, " lanes"]
-    rate: Float[Array, " lanes"]
-
-
 def drives_of(motion: Motion, time: Float[np.ndarray, " samples"]) -> Drives:
     """Tabulate the drive of every interval."""
     angle, rate, amplitude = _drives(motion, jnp.asarray(time[:-1]), jnp.asarray(np.diff(time)))
@@ -71,143 +72,75 @@ def drives_of(motion: Motion, time: Float[np.ndarray, " samples"]) -> Drives:
 
 
 @eqx.filter_jit
-def _drives(motion, start, duration):
+def _drives(
+    motion: Motion, start: Float[Array, " intervals"], duration: Float[Array, " intervals"]
+) -> tuple[Float[Array, " intervals"], Float[Array, " intervals"], Complex[Array, " intervals"]]:
     angle, _, _ = motion.waveform.phase(start)
     _, rate, second = motion.waveform.phase(start + duration / 2)
     return angle, rate, motion.drive.complex_amplitude(rate, second)
 
 
-def begin_course(phases, phase, state, angle, rate, amplitude) -> Course:
-    """Put states (states, lanes) of one phase into block coordinates."""
-    steady = forced_blocks(phases, amplitude, rate)[phase]
-    driven = resonant_blocks(phases, amplitude, rate)[phase]
-    wave = steady.real * jnp.sin(angle) + steady.imag * jnp.cos(angle)
-    blocks = phases.from_state[phase] @ state - phases.rest[phase][:, None] - wave
-    return Course(blocks, steady, driven, angle, rate)
-
-
-def follow(
-    phases: ContactPhases,
-    phase: Int[Array, ""],
-    course: Course,
-    time: Float[Array, "lanes *places"],
-) -> tuple[Float[Array, "states lanes *places"], ...]:
-    """Block coordinates and their first two derivatives, some time (s) into the course."""
-    n, places = phases.num_blocks, time.ndim - 1
-
-    def wide(a):
-        return a.reshape(a.shape + (1,) * places)
-
-    decay = phases.exponent[phase][..., None]
-    turn = phases.rate[phase][:, None]
-    top, bottom = wide(course.blocks[:n]), wide(course.blocks[n:])
-    growth = jnp.exp(wide(decay) * time)
-    angle = wide(turn) * time
-    c, s = cosine(angle), cosine(angle - np.pi / 2)
-    along, across = growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)
-    moved = jnp.concatenate([along, across])
-    rate, steady, driven = wide(course.rate), wide(course.steady), wide(course.driven)
-    moved = moved + driven_growth(
-        wide(decay[0]), wide(turn), driven, wide(course.angle), rate, time
-    )
-
-    def derived(z):
-        first, second = z[:n], z[n:]
-        along = wide(decay[0]) * first - wide(turn) * second
-        return jnp.concatenate([along, wide(turn) * first + wide(decay[1]) * second])
-
-    drive = wide(course.angle) + rate * time
-    sine, cosine_ = cosine(drive - np.pi / 2), cosine(drive)
-    rest = phases.rest[phase].reshape((-1,) + (1,) * time.ndim)
-    change = derived(moved) + driven.real * sine + driven.imag * cosine_
-    driven_change = rate * (driven.real * cosine_ - driven.imag * sine)
-    real, imag = steady.real * sine, steady.imag * sine
-    wave = real + steady.imag * cosine_
-    # d/dt of Im(Z exp(i angle)) is Im(i w Z exp(i angle)).
-    wave_change = rate * (steady.real * cosine_ - imag)
-    second_change = derived(change) + driven_change - rate**2 * wave
-    return moved + rest + wave, change + wave_change, second_change
-
-
-def read_stops(phases, phase, blocks):
-    """Depths of the stops, their rates and accelerations, from what `follow` returns."""
-    rows = phases.towards_stop @ phases.to_state[phase][: phases.num_blocks]
-    depth, rate, acceleration = (jnp.tensordot(rows, b, axes=1) for b in blocks)
-    return depth - _column(phases.gap, depth), rate, acceleration
-
-
-def _column(values, like):
-    return jnp.reshape(jnp.asarray(values), (-1,) + (1,) * (like.ndim - 1))
-
-
-def touching_bits(phases: ContactPhases, phase: Int[Array, ""]) -> Bool[Array, " stops"]:
-    """Which stops touch in a phase."""
-    return (phase >> jnp.arange(phases.num_stops)) & 1 == 1
-
-
-def _push(phases, unit_rate, depth, rate, acceleration):
-    """Force of a stop as a depth (m), and its rate; the depth itself where it may pull."""
-    k, c = _column(phases.stiffness, depth), _column(phases.damping, depth)
-    unit = k + c * unit_rate
-    sticks = _column(np.asarray(phases.can_pull, bool), depth) | (unit == 0)
-    safe = jnp.where(unit > 0, unit, 1.0)
-    push, slope = (k * depth + c * rate) / safe, (k * rate + c * acceleration) / safe
-    return jnp.where(sticks, depth, push), jnp.where(sticks, rate, slope)
-
-
-def indicator(phases, unit_rate, depth, rate, acceleration):
-    """Contact of each stop (positive in contact) and its rate, m and m/s, seen out of contact."""
-    push, slope = _push(phases, unit_rate, depth, rate, acceleration)
-    by_depth = depth <= push
-    return jnp.where(by_depth, depth, push), jnp.where(by_depth, rate, slope)
-
-
-def _breach(phases, phase, unit_rate, stops_read):
-    """How far a stop is in the wrong phase (positive: it changes contact), and its rate."""
-    inside, inside_rate = _push(phases, unit_rate, *stops_read)
-    outside, outside_rate = indicator(phases, unit_rate, *stops_read)
-    touches = _column(touching_bits(phases, phase), inside)
-    return jnp.where(touches, -inside, outside), jnp.where(touches, -inside_rate, outside_rate)
-
-
 @eqx.filter_jit
-def _starting_phase(phases, equations, states, drive_input, unit_rate, near):
+def _starting_phase(
+    phases: ContactPhases,
+    equations: LinearEquations,
+    states: Float[Array, "states samples"],
+    drive_input: Float[Array, " samples"],
+    unit_rate: Number,
+    near: Number,
+) -> Int[Array, " samples"]:
     """Phase of every sample: near zero depth the direction decides."""
     n = phases.num_blocks
     q, v = states[:n], states[n:]
     depth = phases.towards_stop @ q - phases.gap[:, None]
     rate = phases.towards_stop @ v
-    value, _ = indicator(phases, unit_rate, depth, rate, jnp.zeros_like(depth))
+
+    def indicator(acceleration: OfStops) -> tuple[OfStops, OfStops]:
+        return contact_indicator(
+            depth, rate, *pushes_of(phases, unit_rate, depth, rate, acceleration)
+        )
+
+    value, _ = indicator(jnp.zeros_like(depth))
     force = phases.stiffness[:, None] * depth + phases.damping[:, None] * rate
     free = jax.vmap(equations.linear_force, in_axes=1, out_axes=1)(q, v)
     acceleration = equations.input_map[:, None] * drive_input - free / equations.modal_mass[:, None]
     acceleration = acceleration - phases.push_off @ jnp.where(value > 0, force, 0.0)
-    value, slope = indicator(phases, unit_rate, depth, rate, phases.towards_stop @ acceleration)
+    value, slope = indicator(phases.towards_stop @ acceleration)
     touching = jnp.where(jnp.abs(value) <= near, slope > 0, value > 0)
     bits = (1 << np.arange(phases.num_stops))[:, None]
     return jnp.sum(jnp.where(touching, bits, 0), axis=0)
 
 
 class _Cut(NamedTuple):
-    time: Array
+    time: PerLane
     """Where the piece ends, s after its start."""
-    stop: Array
+    stop: Int[Array, " lanes"]
     """Which stop changes its contact there; -1 for none."""
-    state: Array
+    state: Float[Array, "states lanes"]
 
 
 @eqx.filter_jit
-def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places):
+def _first_event(
+    phases: ContactPhases,
+    phase: Phase,
+    lanes: tuple[Array, ...],
+    length: PerLane,
+    last: Int[Array, " lanes"],
+    unit_rate: Number,
+    near: Number,
+    *,
+    places: int,
+) -> _Cut:
     """Find the first event of lanes in one phase within a time `length`."""
-    course = begin_course(phases, phase, *lanes)
+    motion = begin_phase(phases, phase, *lanes)
     if not phases.num_stops:
-        return _cut(phases, phase, course, length, jnp.full(length.shape, -1))
+        return _cut(phases, phase, motion, length, jnp.full(length.shape, -1))
     cell = length / places
     time = cell[:, None] * jnp.arange(places + 1)
 
-    def breach(time):
-        return _breach(
-            phases, phase, unit_rate, read_stops(phases, phase, follow(phases, phase, course, time))
+    def breach(time: Float[Array, "lanes *places"]) -> tuple[OfStops, OfStops]:
+        return breach_of(
+            phases, phase, unit_rate, read_stops(phases, phase, follow(phases, phase, motion, time))
         )
 
     value, slope = breach(time)
@@ -218,35 +151,37 @@ def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places)
     value = value.at[..., 0].set(jnp.minimum(begun, 0.0))
     f0, f1, d0, d1 = value[..., :-1], value[..., 1:], slope[..., :-1], slope[..., 1:]
     crossed = f1 > 0
-    top, height = _turning(f0, d0, f1, d1)
+    cubic = cubic_between(f0, d0, f1, d1)
+    top, height = cubic.peak()
     found = crossed | (height > near)
     first = jnp.argmax(jnp.any(found, axis=0), axis=-1)
 
-    def there(a):
+    def there(a: Shaped[Array, "stops lanes places"]) -> Shaped[Array, "stops lanes"]:
         return jnp.take_along_axis(a, first[None, :, None], axis=-1)[..., 0]
 
-    f0, f1, d0, d1, crossed, top, found = map(there, (f0, f1, d0, d1, crossed, top, found))
+    crossed, top, found = map(there, (crossed, top, found))
+    cubic = Cubic(*map(there, cubic))
     # From a start on the crossing itself the motion first goes away from it.
-    dip, _ = _turning(-f0, -d0, -f1, -d1)
+    dip, _ = Cubic(*(-c for c in cubic)).peak()
     high = jnp.where(crossed, 1.0, top)
-    low = jnp.where((d0 < 0) & (dip > 0) & (dip < high), dip, 0.0)
-    guess = _cubic_root(f0, d0, f1, d1, low, high)
+    low = jnp.where((cubic.slope < 0) & (dip > 0) & (dip < high), dip, 0.0)
+    guess = cubic.root(low, high)
     stop = jnp.argmin(jnp.where(found, guess, jnp.inf), axis=0)
 
-    def of_stop(a):
+    def of_stop(a: Shaped[Array, "stops lanes"]) -> Shaped[Array, " lanes"]:
         return jnp.take_along_axis(a, stop[None], axis=0)[0]
 
     hidden = ~of_stop(crossed)
     low, high, u, found = map(of_stop, (low, high, guess, found))
 
-    def exact(u):
+    def exact(u: PerLane) -> tuple[PerLane, PerLane]:
         value, slope = breach((first + u) * cell)
         return of_stop(value), of_stop(slope) * cell
 
     # A touch that only the cubic makes between two places: the piece is cut, nothing changes.
     missed = hidden & (exact(high)[0] <= 0)
 
-    def closer(_, carry):
+    def closer(_: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
         u, low, high = carry
         value, slope = exact(u)
         low, high = jnp.where(value > 0, low, u), jnp.where(value > 0, u, high)
@@ -259,38 +194,18 @@ def _first_event(phases, phase, lanes, length, last, unit_rate, near, *, places)
     flips = jnp.where(found & ~missed, stop, -1)
     now = jnp.any(at_once, axis=0)
     end = jnp.where(now, 0.0, jnp.minimum(end, length))
-    return _cut(phases, phase, course, end, jnp.where(now, jnp.argmax(at_once, axis=0), flips))
+    return _cut(phases, phase, motion, end, jnp.where(now, jnp.argmax(at_once, axis=0), flips))
 
 
-def _cut(phases, phase, course, end, stop):
-    blocks, _, _ = follow(phases, phase, course, end)
+def _cut(
+    phases: ContactPhases,
+    phase: Phase,
+    motion: PhaseMotion,
+    end: PerLane,
+    stop: Int[Array, " lanes"],
+) -> _Cut:
+    blocks, _, _ = follow(phases, phase, motion, end)
     return _Cut(end, stop, phases.to_state[phase] @ blocks)
-
-
-def _turning(f0, d0, f1, d1):
-    """Where in (0, 1) a cubic has its maximum, and its value; 0.5 and -inf where it has none."""
-    curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
-    square = curve**2 - 3 * bend * d0
-    below = jnp.sqrt(jnp.maximum(square, 0.0)) - curve
-    u = d0 / jnp.where(below == 0, 1.0, below)
-    inside = (square > 0) & (below != 0) & (u > 0) & (u < 1)
-    height = f0 + u * (d0 + u * (curve + u * bend))
-    return jnp.where(inside, u, 0.5), jnp.where(inside, height, -jnp.inf)
-
-
-def _cubic_root(f0, d0, f1, d1, low, high):
-    """Zero of a cubic that is not above zero at `low` and above it at `high`."""
-    curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
-
-    def closer(_, carry):
-        u, low, high = carry
-        value = f0 + u * (d0 + u * (curve + u * bend))
-        low, high = jnp.where(value > 0, low, u), jnp.where(value > 0, u, high)
-        slope = d0 + u * (2 * curve + 3 * u * bend)
-        newton = u - value / jnp.where(slope == 0, 1.0, slope)
-        return jnp.where((newton > low) & (newton < high), newton, (low + high) / 2), low, high
-
-    return jax.lax.fori_loop(0, 8, closer, ((low + high) / 2, low, high))[0]
 
 
 def places_for(phases: ContactPhases, interval: float) -> int:
@@ -325,7 +240,7 @@ def batch_size(places: int) -> int:
 
 
 def lanes_of(pieces: Pieces, drives: Drives, items: Int[np.ndarray, " lanes"]) -> tuple[Array, ...]:
-    """Return state, angle, rate and amplitude of some pieces where they begin, for `Course`."""
+    """Return state, angle, rate and amplitude of some pieces where they begin."""
     interval = pieces.interval[items]
     rate = drives.rate[interval]
     angle = drives.angle[interval] + rate * pieces.start[items]
@@ -337,15 +252,17 @@ def starting_phases(
     motion: Motion, time: Float[np.ndarray, " samples"], states: Float[np.ndarray, "samples states"]
 ) -> Int[np.ndarray, " samples"]:
     """Return the phase of every sample."""
-    phases, equations = motion.prepared, motion.equations
-    assert isinstance(equations, LinearEquations)
+    phases, equations = motion.prepared, motion.equations.linear
+    assert equations is not None
     drive_input = motion.drive.input(motion.waveform, jnp.asarray(time))
     unit_rate, near = _scales(phases, equations, states)
     columns = jnp.asarray(states.T)
     return np.asarray(_starting_phase(phases, equations, columns, drive_input, unit_rate, near))
 
 
-def _scales(phases, equations, states):
+def _scales(
+    phases: ContactPhases, equations: LinearEquations, states: Float[np.ndarray, "samples states"]
+) -> tuple[Number, Number]:
     unit_rate = equations.angular_frequency[0]
     q = states[:, : phases.num_blocks]
     reach = np.max(np.abs(q) @ np.abs(np.asarray(phases.towards_stop)).T, initial=0.0)
@@ -359,9 +276,10 @@ def exact_pieces(
 
     Raises `ValueError` when an interval holds more than `MOST_ROUNDS` events.
     """
-    phases, equations = motion.prepared, motion.equations
+    phases, equations = motion.prepared, motion.equations.linear
     duration, drives = np.diff(time), drives_of(motion, time)
     places = places_for(phases, float(np.max(duration)))
+    assert equations is not None
     unit_rate, near = _scales(phases, equations, states)
     begun = np.zeros(duration.size)
     phase = starting_phases(motion, time, states)[:-1]

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 from vibrojax.model.equations import LinearEquations, memory_by_stop, stop_forces
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import Motion
+from vibrojax.stepping.cubic import cubic_between
 from vibrojax.stepping.splitting import contact_of, driven_flow, kick, steady, steps_for
 
 lax = jax.lax
@@ -322,12 +323,8 @@ def _crossing(before: _Place, after: _Place, h):
     straight = np.where(f0 > 0, 0.0, 1.0) - inside / np.where(slope == 0, 1.0, slope)
     cut = (f0 == 0) | (f1 == 0)
     u = np.clip(np.where(cut, straight, f0 / np.where(f0 == f1, 1.0, f0 - f1)), 0.0, 1.0)
-    curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
-    for _ in range(4):
-        slope = d0 + u * (2 * curve + 3 * u * bend)
-        step = (f0 + u * (d0 + u * (curve + u * bend))) / np.where(slope == 0, 1.0, slope)
-        u = np.where(cut, u, np.clip(u - step, 0.0, 1.0))
-    return u
+    cubic = cubic_between(*map(jnp.asarray, (f0, d0, f1, d1)))
+    return np.where(cut, u, cubic.root(guess=jnp.asarray(u), rounds=4))
 
 
 def _linked(rows: dict[str, np.ndarray], total: int) -> Rows:

@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike
 
 from vibrojax._tools.checks import check_count
 from vibrojax._tools.signatures import validated
+from vibrojax.history.cycles import Cycles, cycles_of_each
 from vibrojax.history.history import History
 from vibrojax.history.quantities import check_quantity, unit_and_label
 from vibrojax.results.axes import axis_scale, coordinates_of, example, pick
@@ -18,8 +19,6 @@ from vibrojax.results.variables import described_as, with_unit
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
-
-    from vibrojax.history.cycles import Cycles
 
 
 class Histories(eqx.Module):
@@ -60,8 +59,8 @@ class Histories(eqx.Module):
         """
         place, _, missing = pick(self.axes, values)
         if missing:
-            told = example(self.axes, missing[0])
-            raise ValueError(f"Give a value of {missing[0]} too, such as {told}.")
+            such = example(self.axes, missing[0])
+            raise ValueError(f"Give a value of {missing[0]} too, such as {such}.")
         return self[int(np.ravel_multi_index(place, self.shape)) if place else 0]
 
     @validated
@@ -71,7 +70,7 @@ class Histories(eqx.Module):
         *,
         level: float | int = 0.0,
         threshold: float | int | None = None,
-    ) -> "Cycles":
+    ) -> Cycles:
         """Return the cycles of all histories together, as `History.cycles` reads them.
 
         Histories that diverged are left out and counted. Raises `ValueError` as that does, or where
@@ -79,8 +78,6 @@ class Histories(eqx.Module):
 
         `quantity`, `level` and `threshold` are those of `History.cycles`.
         """
-        from vibrojax.history.cycles import cycles_of_each
-
         return cycles_of_each(self, quantity, level, threshold)
 
     @validated

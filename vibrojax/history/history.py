@@ -3,15 +3,19 @@
 from typing import TYPE_CHECKING
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._tools.checks import check_choice, check_one, check_range, is_traced
+from vibrojax._tools.checks import check_choice, is_traced
 from vibrojax._tools.described import recipe
 from vibrojax._tools.signatures import validated
+from vibrojax.history.contacts import Contacts, Peak, contacts_of, peak_of
+from vibrojax.history.cycles import Cycles, cycles_of
+from vibrojax.history.energy import EnergyFlow, energy_of
+from vibrojax.history.history_spectrum import spectrum_of_history
+from vibrojax.history.poincare import PoincareSection, section_of
 from vibrojax.history.quantities import (
     QUANTITIES,
     STRAIN_POWER,
@@ -20,6 +24,8 @@ from vibrojax.history.quantities import (
     quantity_of,
     unit_and_label,
 )
+from vibrojax.history.samples import SampledMotion
+from vibrojax.history.spectrum import Spectrum
 from vibrojax.model.systems import AbstractSystem, Motion
 from vibrojax.results.status import Status
 from vibrojax.results.variables import described_as
@@ -28,35 +34,9 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from vibrojax.history.contacts import Contacts, Peak
-    from vibrojax.history.cycles import Cycles
-    from vibrojax.history.energy import EnergyFlow
-    from vibrojax.history.poincare import PoincareSection
-    from vibrojax.history.spectrum import Spectrum
 
-
-class History(eqx.Module):
+class History(SampledMotion):
     """Motion of one lane at equal intervals; displacements are relative to the base."""
-
-    system: AbstractSystem
-    """What moves."""
-    motion: Motion
-    """Its equations with drive and waveform: the `args` of a solver."""
-    time: Float[Array, " samples"]
-    """s."""
-    coordinates: Float[Array, "samples coordinates"]
-    """Modal coordinates q of a beam, m (shapes as `modes(...)` normalises them); those of the
-    equations of other systems, in `coordinate_units`."""
-    rates: Float[Array, "samples coordinates"]
-    """Their velocities, per s."""
-    accelerations: Float[Array, "samples coordinates"]
-    """Their accelerations, per s2."""
-    contact_force: Float[Array, "samples stops"]
-    """Force of each stop, N, positive when it pushes the body off."""
-    memory: Float[Array, "samples memories"]
-    """Internal states of the stops whose law has one, m for a `StandardLinearSolid`."""
-    status: Int[Array, ""]
-    """`Status.completed` when the integration reached its end, `Status.diverged` when not."""
 
     @classmethod
     def of(
@@ -89,25 +69,6 @@ class History(eqx.Module):
         ended = (result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(states))
         status = jnp.where(ended, Status.completed.value, Status.diverged.value)
         return cls(system, motion, time, q, v, accelerations, force, memory, status)
-
-    @property
-    def states(self) -> Float[Array, "samples states"]:
-        """States (q, q', memories of stops), as `initial_state=` and `guess=` take them.
-
-        After whole drive periods the drive is at phase 0 again, from where a motion goes on.
-        """
-        return jnp.concatenate([self.coordinates, self.rates, self.memory], axis=-1)
-
-    def _shape(self, position: ArrayLike | None) -> Float[Array, " coordinates"]:
-        linear = self.motion.equations.linear
-        if position is None and linear is not None:
-            return linear.response_map
-        if position is None or self.system.reported_place is None:
-            raise ValueError("Only the history of a beam has a position along it.")
-        check_one("position", position, "place x/L")
-        allowed = "from 0 (root) to 1 (tip)"
-        check_range("position", position, 0.0, 1.0, allowed=allowed, advice="It is x/length.")
-        return self.system.shape_at(position)
 
     @validated(traceable=True)
     def displacement(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
@@ -164,7 +125,7 @@ class History(eqx.Module):
         scaling: str = "peak",
         span: float | int | None = None,
         units: str | None = None,
-    ) -> "Spectrum":
+    ) -> Spectrum:
         """Return the spectrum of a quantity as an analyser shows it.
 
             history.spectrum("acceleration", start=2, segment=2, averages=30, span=800, units="g")
@@ -172,7 +133,7 @@ class History(eqx.Module):
         Parameters:
             quantity, position: as for `quantity`; one place.
             start: time from which on the record counts, s.
-            window: a name that `scipy.signal.get_window` knows. `hann` tells lines apart, `flattop`
+            window: a name that `scipy.signal.get_window` knows. `hann` separates lines, `flattop`
                 reads amplitudes best, `boxcar` is exact over whole periods and for transients that
                 die out within the segment.
             segment: length of the segments whose powers are averaged, s. None: one segment, all of
@@ -190,8 +151,6 @@ class History(eqx.Module):
         too few averages, an overlap or span outside of what is possible, or a history sampled below
         twice the highest natural frequency when more than 1 % of the rms is folded from there.
         """
-        from vibrojax.history.history_spectrum import spectrum_of_history
-
         return spectrum_of_history(
             self,
             quantity,
@@ -213,7 +172,7 @@ class History(eqx.Module):
         *,
         level: float | int = 0.0,
         threshold: float | int | None = None,
-    ) -> "Cycles":
+    ) -> Cycles:
         """Return the cycles of a quantity, from up-crossing to up-crossing of a level.
 
             history.cycles("bearing_angle", threshold=0.04).plot()
@@ -230,8 +189,6 @@ class History(eqx.Module):
         `ValueError` for an unknown quantity, a negative threshold, or a history that diverged, is
         traced or holds lanes.
         """
-        from vibrojax.history.cycles import cycles_of
-
         return cycles_of(self, quantity, level, threshold)
 
     @validated
@@ -243,7 +200,7 @@ class History(eqx.Module):
         *,
         phase: float | int = 0.0,
         start: float | int = 0.0,
-    ) -> "PoincareSection":
+    ) -> PoincareSection:
         """Return a Poincaré section: the motion once a drive period, or where a level is crossed.
 
             history.poincare(start=5.0).plot()
@@ -262,11 +219,9 @@ class History(eqx.Module):
         what cannot be, a section by the phase of a system that nothing drives, or a history that
         diverged, is traced or holds lanes.
         """
-        from vibrojax.history.poincare import section_of
-
         return section_of(self, quantity, level, direction, phase, start)
 
-    def contacts(self) -> "Contacts":
+    def contacts(self) -> Contacts:
         """Return the table of all contacts, one row each, with their exact times.
 
         What happens between the samples is computed: times are good to about 1e-12 s where the
@@ -276,8 +231,6 @@ class History(eqx.Module):
         is not linear but for its stops, for damping that couples the modes together with stops that
         are not linear in contact, or for samples too far apart.
         """
-        from vibrojax.history.contacts import contacts_of
-
         return contacts_of(self)
 
     @validated
@@ -286,7 +239,7 @@ class History(eqx.Module):
         quantity: str = "acceleration",
         position: ArrayLike | None = None,
         start: float | int = 0.0,
-    ) -> "Peak":
+    ) -> Peak:
         """Return the value of largest modulus from `start` (s) on, and its time, in SI units.
 
         Also between the samples, and on both sides of every touch and departure, where
@@ -296,8 +249,6 @@ class History(eqx.Module):
         Raises `ValueError` for an unknown quantity, a `start` after the end, and as `contacts`
         does.
         """
-        from vibrojax.history.contacts import peak_of
-
         check_choice("quantity", quantity, tuple(QUANTITIES))
         if self.motion.equations.linear is None:
             raise ValueError(
@@ -306,13 +257,11 @@ class History(eqx.Module):
             )
         return peak_of(self, quantity, position, start)
 
-    def energy(self) -> "EnergyFlow":
+    def energy(self) -> EnergyFlow:
         """Return the energy of every mode and stop, and the losses and the input till then.
 
         Raises `ValueError` as `contacts` does.
         """
-        from vibrojax.history.energy import energy_of
-
         return energy_of(self)
 
     def to_xarray(self) -> "xarray.Dataset":

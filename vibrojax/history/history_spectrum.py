@@ -1,10 +1,10 @@
 """The spectrum of a history: what `spectrum_of` needs, read off the motion."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import ArrayLike, Float
 
 from vibrojax._tools.checks import is_traced
 from vibrojax.history.quantities import (
@@ -12,17 +12,19 @@ from vibrojax.history.quantities import (
     STRAIN_POWER,
     displacement_of,
     observable_motion,
+    quantity_of,
 )
-from vibrojax.history.spectrum import FOLDED, Spectrum, folded_share, spectrum_of
+from vibrojax.history.samples import SampledMotion
+from vibrojax.history.spectrum import Spectrum, spectrum_of
 from vibrojax.model.drives import Harmonic
 from vibrojax.results.status import Status
 
-if TYPE_CHECKING:
-    from vibrojax.history.history import History
+FOLDED = 0.01
+"""Share of the rms that may lie above half the sampling rate: 40 dB down."""
 
 
 def spectrum_of_history(
-    history: "History",
+    history: SampledMotion,
     quantity: str,
     position: ArrayLike | None,
     *,
@@ -49,7 +51,7 @@ def spectrum_of_history(
     is_force = quantity == "contact_force"
     if is_force:
         position = None
-    values = np.asarray(history.quantity(quantity, position))[inside]
+    values = np.asarray(quantity_of(history, quantity, position)[0])[inside]
     motion = history.motion
     equations, waveform, drive = motion.equations, motion.waveform, motion.drive
     _, angular, second = waveform.phase(jnp.zeros(()))
@@ -63,7 +65,7 @@ def spectrum_of_history(
             watched = "strain_energy" if quantity == STRAIN_POWER else quantity
             moved, _, pushed = observable_motion(history, watched)
         moved, pushed = np.asarray(moved)[inside], np.asarray(pushed)[inside]
-        # A force has no derivative to tell folded lines by: the motion it causes has.
+        # A force has no derivative that shows folded lines: the motion it causes has.
         share = folded_share(pushed if is_force else values, moved, pushed, rate)
         if share > FOLDED:
             raise ValueError(
@@ -87,3 +89,24 @@ def spectrum_of_history(
         position=None if position is None else float(np.asarray(position)),
         **settings,
     )
+
+
+def folded_share(
+    values: Float[np.ndarray, " samples"],
+    displacement: Float[np.ndarray, " samples"],
+    acceleration: Float[np.ndarray, " samples"],
+    rate: float,
+) -> float:
+    """Return the share of the rms of `values` that lies above half the sampling rate, about.
+
+    A line at w (rad/s) that is really one at W, folded, shows in that its acceleration is W^2
+    times the displacement, not w^2.
+    """
+    from scipy.signal import get_window
+
+    weights = get_window("hann", len(values))
+    parts = (values, displacement, acceleration)
+    size, moved, pushed = (np.abs(np.fft.rfft(weights * part))[1:] for part in parts)
+    seen = 2 * np.pi * np.fft.rfftfreq(len(values), 1 / rate)[1:]
+    folded = pushed > seen * (2 * np.pi * rate - seen) * moved
+    return float(np.sqrt(np.sum(size[folded] ** 2) / max(np.sum(size**2), 1e-300)))

@@ -11,13 +11,13 @@ from vibrojax._tools.checks import check_choice, check_range, nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.history.crossings import check_whole, crossings, curve_of, curve_through
 from vibrojax.history.quantities import observable_motion, observables_of, unit_and_label
+from vibrojax.history.samples import SampledMotion
 from vibrojax.results.variables import described_as, with_unit
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from vibrojax.history.history import History
 
 DIRECTIONS = ("upwards", "downwards", "both")
 NEWTON_STEPS = 4
@@ -61,7 +61,7 @@ class PoincareSection:
         columns = {"time": self.time, "drive_phase": self.drive_phase} | self.values
         data = {}
         for name, values in columns.items():
-            units, label = _told(name)
+            units, label = _unit_and_label(name)
             data[name] = ("point", values, {"units": units, "long_name": label})
         attributes: dict[str, Any] = {"section": self.title, "quantity": self.quantity}
         number = ("point", np.arange(1, len(self) + 1), described_as("point"))
@@ -93,7 +93,7 @@ class PoincareSection:
         columns = {"time": self.time, "drive_phase": self.drive_phase} | self.values
         if name not in columns:
             raise ValueError(f"Unknown variable {name!r}. {nearest(name, columns)}")
-        units, label = _told(name)
+        units, label = _unit_and_label(name)
         return columns[name], with_unit(label, units)
 
     def __repr__(self) -> str:
@@ -106,7 +106,7 @@ def rate_name(quantity: str) -> str:
     return named.get(quantity, f"{quantity}_rate")
 
 
-def _told(name: str) -> tuple[str, str]:
+def _unit_and_label(name: str) -> tuple[str, str]:
     if name == "time":
         return "s", "Time"
     if name.endswith("_rate"):
@@ -116,7 +116,7 @@ def _told(name: str) -> tuple[str, str]:
 
 
 def section_of(
-    history: "History",
+    history: SampledMotion,
     quantity: str,
     level: float | int | None,
     direction: str,
@@ -163,7 +163,7 @@ def section_of(
     )
 
 
-def strobe_times(history: "History", phase: float) -> Float[np.ndarray, " strobes"]:
+def strobe_times(history: SampledMotion, phase: float) -> Float[np.ndarray, " strobes"]:
     """Return when the drive has a phase (rad, modulo 2 pi) within a history, s."""
     time = np.asarray(history.time)
     waveform = history.motion.waveform

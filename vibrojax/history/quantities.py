@@ -1,6 +1,6 @@
 """What can be read from a history by name: values, their rates, units and long names."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -8,12 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import nearest
+from vibrojax.history.samples import SampledMotion
 from vibrojax.measured.units import UNITS, unit_named
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.results.variables import VARIABLES
-
-if TYPE_CHECKING:
-    from vibrojax.history.history import History
 
 QUANTITIES = {
     "displacement": ("m", "Displacement"),
@@ -99,7 +97,7 @@ def _observed(
     return jax.vmap(one)(q, rate, acceleration)
 
 
-def observable_motion(history: "History", name: str) -> Motions:
+def observable_motion(history: SampledMotion, name: str) -> Motions:
     """Return an observable of the equations, its rate and the rate of that."""
     return _observed(
         history.motion.equations,
@@ -111,18 +109,18 @@ def observable_motion(history: "History", name: str) -> Motions:
 
 
 def displacement_of(
-    history: "History", position: ArrayLike | None = None
+    history: SampledMotion, position: ArrayLike | None = None
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
     """Return the displacement, velocity and acceleration of a history."""
     equations = history.motion.equations
     if position is None and equations.linear is None:
         return observable_motion(history, "displacement")
-    shape = history._shape(position)
+    shape = history.shape_at(position)
     return history.coordinates @ shape, history.rates @ shape, history.accelerations @ shape
 
 
 def quantity_of(
-    history: "History", name: str, position: ArrayLike | None = None
+    history: SampledMotion, name: str, position: ArrayLike | None = None
 ) -> tuple[Float[Array, "..."], Float[Array, "..."] | None]:
     """Return a quantity and its rate; None for the rate of what may jump.
 

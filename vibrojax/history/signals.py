@@ -17,11 +17,13 @@ from vibrojax.history.quantities import (
 from vibrojax.model.drives import BaseMotion
 
 if TYPE_CHECKING:
-    from vibrojax.history.history import History
+    from vibrojax.history.samples import SampledMotion
     from vibrojax.plot.histories import Signal
 
 
-def signals_of(history: "History", quantity: str, position: ArrayLike | None) -> "list[Signal]":
+def signals_of(
+    history: "SampledMotion", quantity: str, position: ArrayLike | None
+) -> "list[Signal]":
     """Return a quantity and the forces of the stops; see `History.plot`."""
     from vibrojax.plot.histories import Signal
 
@@ -38,7 +40,7 @@ def signals_of(history: "History", quantity: str, position: ArrayLike | None) ->
     return [Signal(np.asarray(values), units, label + place), *below]
 
 
-def chirp_signals(history: "History", quantities: tuple[str, ...]) -> "list[Signal]":
+def chirp_signals(history: "SampledMotion", quantities: tuple[str, ...]) -> "list[Signal]":
     """Return drive, quantities and drive frequency; see `History.plot_chirp`."""
     from vibrojax.plot.histories import Signal
 

@@ -226,7 +226,7 @@ def _grid(period, periods, duration, samples_per_period, samples, sampling_rate)
         samples = None if seconds is None else max(1, round(float(seconds) * sampling_rate))
     if count is None or (samples is None and sampling_rate is not None):
         raise ValueError(
-            "How many samples the run has hangs on values that JAX is tracing: give periods, and "
+            "How many samples the run has depends on values that JAX is tracing: give periods, and "
             "samples_per_period or samples, in place of duration or sampling_rate."
         )
     if samples is None:

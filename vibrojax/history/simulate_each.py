@@ -40,7 +40,7 @@ def simulate_each(
     tolerance: float = 1e-6,
     **numbers: Any,
 ) -> Histories:
-    """Integrate several motions in one loop, compiled once; `simulate` tells what is what.
+    """Integrate several motions in one loop, compiled once; the arguments are those of `simulate`.
 
         histories = vj.simulate_each(rig, force=[2.0, 6.0, 12.0], frequency=16.0, duration=10.0)
         histories.at(force=6.0).contacts()

@@ -21,6 +21,7 @@ from vibrojax._tools.checks import (
     nearest,
 )
 from vibrojax._tools.signatures import validated
+from vibrojax.history.quantities import QUANTITIES, unit_and_label, unit_for
 from vibrojax.results.variables import VARIABLES, described_as
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ SCALINGS = {
 WINDOWS = ("hann", "flattop", "boxcar", "hamming", "blackman", "blackmanharris", "nuttall")
 """Those that a refusal names; scipy knows more."""
 FEWEST = 8  # samples of a segment
-FOLDED = 0.01  # share of the rms that may lie above half the sampling rate: 40 dB down
 LARGEST_DENOMINATOR, LARGEST_SIDEBAND, LARGEST_MULTIPLE = 5, 4, 10
 
 
@@ -165,8 +165,6 @@ class Spectrum:
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset over frequency, with units, long names and settings as attributes."""
         import xarray
-
-        from vibrojax.history.quantities import unit_and_label
 
         label = f"{unit_and_label(self.quantity)[1]}, {SCALINGS[self.scaling]}"
         named = {"units": self.units, "long_name": label}
@@ -323,8 +321,6 @@ def spectrum_of(
     """
     from scipy.signal import get_window, welch
 
-    from vibrojax.history.quantities import QUANTITIES, unit_for
-
     if quantity not in VARIABLES:
         check_choice("quantity", quantity, tuple(QUANTITIES))
     check_choice("scaling", scaling, tuple(SCALINGS))
@@ -392,24 +388,3 @@ def spectrum_of(
         position=position,
     )
     return whole if span is None else whole.up_to(span)
-
-
-def folded_share(
-    values: Float[np.ndarray, " samples"],
-    displacement: Float[np.ndarray, " samples"],
-    acceleration: Float[np.ndarray, " samples"],
-    rate: float,
-) -> float:
-    """Return the share of the rms of `values` that lies above half the sampling rate, about.
-
-    A line at w (rad/s) that is really one at W, folded, shows in that its acceleration is W^2
-    times the displacement, not w^2.
-    """
-    from scipy.signal import get_window
-
-    weights = get_window("hann", len(values))
-    parts = (values, displacement, acceleration)
-    size, moved, pushed = (np.abs(np.fft.rfft(weights * part))[1:] for part in parts)
-    seen = 2 * np.pi * np.fft.rfftfreq(len(values), 1 / rate)[1:]
-    folded = pushed > seen * (2 * np.pi * rate - seen) * moved
-    return float(np.sqrt(np.sum(size[folded] ** 2) / max(np.sum(size**2), 1e-300)))

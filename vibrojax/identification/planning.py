@@ -8,13 +8,13 @@ import numpy as np
 from vibrojax._tools.checks import check_names
 from vibrojax._tools.described import in_short
 from vibrojax.identification.curve_misfit import CurveMisfit
-from vibrojax.identification.identification import Identification
+from vibrojax.identification.fit import Fit
 from vibrojax.identification.profiling import index_of
 from vibrojax.identification.what_next import Candidate, WhatNext, points_to_halve
 from vibrojax.measured.curve import MeasuredCurve
 
 
-def what_next(fit: Identification, name: str, **changes: Any) -> WhatNext:
+def what_next(fit: Fit, name: str, **changes: Any) -> WhatNext:
     """See `Identification.what_next`."""
     sought = index_of(fit, name)
     pairs = zip(fit.problem.parts, fit.measured, strict=True)
@@ -54,7 +54,7 @@ def what_next(fit: Identification, name: str, **changes: Any) -> WhatNext:
     )
 
 
-def _check(fit: Identification, changes: dict[str, Any]) -> None:
+def _check(fit: Fit, changes: dict[str, Any]) -> None:
     check_names(fit.asked.make, changes)
     for n, values in changes.items():
         if n in fit.asked.arguments.values():
@@ -78,7 +78,7 @@ def _noise(measured: MeasuredCurve) -> np.ndarray:
 
 
 def _slopes(
-    fit: Identification,
+    fit: Fit,
     part: Any,
     measured: MeasuredCurve,
     other: dict[str, float],

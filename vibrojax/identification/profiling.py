@@ -4,19 +4,19 @@ import numpy as np
 from scipy import stats
 
 from vibrojax._tools.checks import check_count, check_positive, nearest
-from vibrojax.identification.identification import Identification
+from vibrojax.identification.fit import Fit
 from vibrojax.identification.least_squares import LevenbergMarquardt
 from vibrojax.identification.profile import Profile
 
 
-def index_of(fit: Identification, name: str) -> int:
+def index_of(fit: Fit, name: str) -> int:
     """Place of a number among those fitted. Raises `ValueError` for an unknown name."""
     if name not in fit.names:
         raise ValueError(f"name {name!r} was not fitted. {nearest(name, fit.names)}")
     return fit.names.index(name)
 
 
-def profile(fit: Identification, name: str, *, points: int, reach: float) -> Profile:
+def profile(fit: Fit, name: str, *, points: int, reach: float) -> Profile:
     """See `Identification.profile`."""
     check_count("points", points, least=5)
     check_positive("reach", reach, "standard deviations")

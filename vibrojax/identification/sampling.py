@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from vibrojax._tools.checks import check_count, check_seed
-from vibrojax.identification.identification import Identification
+from vibrojax.identification.fit import Fit
 from vibrojax.identification.posterior import Posterior
 
 HEAVINESS = 5
@@ -21,7 +21,7 @@ WIDER = 1.2
 BATCH = 32
 
 
-def sample(fit: Identification, draws: int, *, evaluations: int = 256, seed: int = 0) -> Posterior:
+def sample(fit: Fit, draws: int, *, evaluations: int = 256, seed: int = 0) -> Posterior:
     """See `Identification.sample`."""
     check_count("draws", draws, least=10)
     check_count("evaluations", evaluations, least=16)
@@ -83,7 +83,7 @@ def sample(fit: Identification, draws: int, *, evaluations: int = 256, seed: int
     )
 
 
-def _costs(fit: Identification, points: np.ndarray) -> np.ndarray:
+def _costs(fit: Fit, points: np.ndarray) -> np.ndarray:
     which = np.full(len(points), fit.repetition)
     residual, _ = fit.problem.evaluate(points, which, fit.frequency_scale)
     return np.sum(residual**2, axis=1)

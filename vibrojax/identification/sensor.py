@@ -8,7 +8,7 @@ from jaxtyping import Array, Complex, Float
 from vibrojax.model.drives import BaseMotion
 from vibrojax.steady.condensed import Problem, cell_average, differentiate
 from vibrojax.steady.paths import Place
-from vibrojax.stepping.elementary import cubic_maximum
+from vibrojax.stepping.cubic import cubic_maximum
 
 ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2}
 FINER = 2

@@ -22,7 +22,7 @@ class Candidate:
 
 @dataclass(frozen=True, repr=False)
 class WhatNext:
-    """Further points, the most telling first."""
+    """Further points, the most informative first."""
 
     name: str
     frequency_name: str
@@ -32,18 +32,18 @@ class WhatNext:
 
     @property
     def best(self) -> Candidate:
-        """The most telling point."""
+        """The most informative point."""
         return self.candidates[0]
 
     def by_change(self) -> dict[tuple[tuple[str, float], ...], Candidate]:
-        """The most telling point of every rig that could be measured."""
+        """The most informative point of every rig that could be measured."""
         best: dict[tuple[tuple[str, float], ...], Candidate] = {}
         for c in self.candidates:
             best.setdefault(tuple(c.changes.items()), c)
         return best
 
     def __repr__(self) -> str:
-        lines = [f"WhatNext(to sharpen {self.name}, the most telling points)"]
+        lines = [f"WhatNext(to sharpen {self.name}, the most informative points)"]
         for c in self.candidates[:5]:
             rig = "".join(f", {n} {v:g}" for n, v in c.changes.items())
             lines.append(

@@ -265,7 +265,7 @@ def _values(label: str, given: Any) -> list[float]:
 
 
 def _within(label: str, build: Any, *args: Any, **numbers: Any) -> Any:
-    """Build a part of the rig; what it refuses is told with the name of its table."""
+    """Build a part of the rig; what it refuses is named with its table."""
     try:
         return build(*args, **numbers)
     except ValueError as error:

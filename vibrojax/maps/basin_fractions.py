@@ -11,10 +11,10 @@ from jaxtyping import ArrayLike
 from vibrojax._tools.checks import axis_of, check_choice
 from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.frequencies import check_drive
+from vibrojax.maps.fingerprints import identity_of
 from vibrojax.maps.responses import AbstractMapResponse, Computed, Grid, Points
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.store_files import digest
-from vibrojax.maps.told_apart import identity_of
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.regime.attractors import Attractors, BasinPlan
 from vibrojax.regime.basins import (
@@ -26,7 +26,7 @@ from vibrojax.regime.basins import (
     states_of,
 )
 from vibrojax.regime.basins_result import standard_error
-from vibrojax.regime.strobing import Strober
+from vibrojax.regime.poincare_map import PoincareMap
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
 
@@ -141,9 +141,9 @@ class BasinFractions(AbstractMapResponse):
         sample = maker.sample(tuple(int(i[0]) for i in index))
         states = self._states(sample)
         method = choose_method(sample, self.method, 1e-4, None)
-        strober = Strober.of(method, maker.rigs(index))
-        found = attractors_over(strober, grid.axis, grid.values, states, self.plan)
-        first = np.asarray(strober.prepared.first_frequency)
+        poincare = PoincareMap.of(method, maker.rigs(index))
+        found = attractors_over(poincare, grid.axis, grid.values, states, self.plan)
+        first = np.asarray(poincare.prepared.first_frequency)
         shape = (len(first), 1, len(grid.values))
         rows = [_shares(one) for one in found]
         curves = {name: np.array([row[name] for row in rows]).reshape(shape) for name in VARIABLES}

@@ -10,11 +10,12 @@ from vibrojax._tools.checks import check_count, check_range
 from vibrojax._tools.described import recipe
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.along import check_continued
-from vibrojax.branches.branch import CURVES, Branch
 from vibrojax.branches.continuation import LONGEST_STEP
 from vibrojax.branches.continue_response import samples_of
 from vibrojax.branches.lane_paths import frequency_paths
 from vibrojax.branches.plan import Plan, Resolution
+from vibrojax.branches.points import CURVES, BranchPoints
+from vibrojax.branches.resampling import resample
 from vibrojax.branches.work import BranchWork
 from vibrojax.maps.measures import PLACES
 from vibrojax.maps.responses import AbstractMapResponse, Computed, Folds, Grid, Points
@@ -136,7 +137,7 @@ class ContinuationCurve(AbstractMapResponse):
             folds={"fold": Folds(*map(np.stack, zip(*map(_folds, branches), strict=True)))},
         )
 
-    def _resampled(self, branch: Branch, values: np.ndarray) -> tuple[dict, np.ndarray]:
+    def _resampled(self, branch: BranchPoints, values: np.ndarray) -> tuple[dict, np.ndarray]:
         """Return the curves over (crossings, frequencies) and the states behind them."""
         names = self.variables
         shape = (self.max_crossings, len(values))
@@ -144,7 +145,7 @@ class ContinuationCurve(AbstractMapResponse):
         curves = {name: np.full(shape, np.nan) for name in names}
         states = np.full((*shape, size), np.nan)
         if len(branch.values) > 1:
-            solved = branch.resample(values)
+            solved = resample(branch, values)
             kept = min(self.max_crossings, solved.sizes["crossing"])
             for name in names:
                 curves[name][:kept] = solved[name].values.T[:kept]
@@ -159,7 +160,7 @@ def _places(found: np.ndarray) -> np.ndarray:
     return places
 
 
-def _folds(branch: Branch) -> tuple[np.ndarray, np.ndarray]:
+def _folds(branch: BranchPoints) -> tuple[np.ndarray, np.ndarray]:
     """Return the states at the folds that `_places` keeps, and whether they touch nothing."""
     states = np.full((PLACES, branch.initial_state.shape[1]), np.nan)
     free = np.zeros(PLACES, bool)

@@ -22,7 +22,7 @@ from vibrojax.maps.records import OWN, Condition, Records
 from vibrojax.maps.rig_maker import NO_RIGS, RigMaker
 from vibrojax.maps.store_files import (
     READ_ONLY,
-    disk_errors_told,
+    disk_errors_named,
     make_room,
     remove,
     write_file,
@@ -46,7 +46,7 @@ class Ready(NamedTuple):
     """None where the map is complete and sound: nothing is written."""
     left: list[int]
     """Chunks to compute."""
-    told: list[str]
+    warnings: list[str]
     """What was found, in sentences."""
 
 
@@ -123,7 +123,7 @@ def _locked(place: Path) -> Iterator[None]:
     Raises `StoreInUse`, `StoreReadOnly`, `StoreFull`.
     """
     with ExitStack() as stack:
-        with disk_errors_told():
+        with disk_errors_named():
             place.mkdir(exist_ok=True)
             if not (place / OWN).is_dir():
                 remove(place / OWN)
@@ -189,7 +189,7 @@ def _checked(
 
 def _mended(place: Path, spec: MapSpec, findings: Findings) -> stores.MapStore:
     """Write again what a call knows, and remove the chunks that are not what they should be."""
-    with disk_errors_told():
+    with disk_errors_named():
         _tidy(place)
         for name in findings.wrong:
             _put_back(place, name, findings.reference, name in spec.template.coordinates)
@@ -199,7 +199,7 @@ def _mended(place: Path, spec: MapSpec, findings: Findings) -> stores.MapStore:
     if findings.left:
         store.begin()
         records = Records(place, spec)
-        with disk_errors_told():
+        with disk_errors_named():
             for number in (*findings.damaged, *findings.other):
                 records.clear(number)
     return store
@@ -320,7 +320,7 @@ def _sentences(place: Path, spec: MapSpec, findings: Findings) -> list[str]:
     """Say what was found and what is done about it."""
     files = [*findings.root.damaged, *findings.wrong]
     damaged, other = findings.damaged, findings.other
-    told = []
+    warnings = []
     if files or damaged:
         chunks = [f"{_chunk(spec, k)}: {', '.join(what)}" for k, what in damaged.items()]
         done = []
@@ -328,16 +328,16 @@ def _sentences(place: Path, spec: MapSpec, findings: Findings) -> list[str]:
             done.append("What the call itself knows was written again.")
         if damaged:
             done.append(f"{len(damaged):,} of {spec.chunks.number:,} chunks are computed again.")
-        told.append(
+        warnings.append(
             f"store: {str(place)!r} was damaged: {_first([*files, *chunks])}. {' '.join(done)}"
         )
     if other:
-        told.append(
+        warnings.append(
             f"store: {str(place)!r} has chunks of other rigs than the function makes now: "
             f"{_first([_chunk(spec, k) for k in other])}. These {len(other):,} of "
             f"{spec.chunks.number:,} chunks are computed again, the others kept."
         )
-    return told
+    return warnings
 
 
 def _chunk(spec: MapSpec, number: int) -> str:

@@ -1,4 +1,4 @@
-"""What a curve comes to: peak, jumps, hysteresis, forces, or whatever the user asks."""
+"""Measures of a curve: peak, jumps, hysteresis, forces, or whatever the user asks."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple

@@ -18,11 +18,14 @@ from vibrojax._tools.warn import warn
 from vibrojax.ensemble.arguments import Arguments, Zipped, arguments_of, default_of
 from vibrojax.ensemble.frequencies import frequency_axis
 from vibrojax.maps import store as stores
+from vibrojax.maps.continuation_curves import ContinuationCurve
 from vibrojax.maps.continuing import opened, same_map
 from vibrojax.maps.measures import Measures, measures_of
+from vibrojax.maps.periodic_points import PeriodicPoints
 from vibrojax.maps.planning import MapPlan, chunks_of, plan_of
 from vibrojax.maps.records import OWN
-from vibrojax.maps.responses import AbstractMapResponse, Grid, chosen_response
+from vibrojax.maps.regime_sweep import RegimeSweep
+from vibrojax.maps.responses import AbstractMapResponse, Grid
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.running import Outcome, run_here, run_on_cluster
 from vibrojax.maps.settings import (
@@ -31,6 +34,7 @@ from vibrojax.maps.settings import (
     settings_of,
     unread_of,
 )
+from vibrojax.maps.settled_sweep import SettledSweep
 from vibrojax.maps.template import Template, template_of
 from vibrojax.maps.work import MapSpec
 from vibrojax.model.systems import AbstractSystem
@@ -177,7 +181,7 @@ def parameter_map(
         return _dataset(place, list(template.variables), in_memory=True)
     place = os.fspath(store)
     with opened(place, spec, settings, maker, chunk_lanes) as ready:
-        for sentence in ready.told:
+        for sentence in ready.warnings:
             warn(sentence)
         _tell_unread(spec)
         if ready.store is not None:
@@ -190,7 +194,7 @@ def parameter_map(
 
 
 def _tell_unread(spec: MapSpec) -> None:
-    """Warn of what a store cannot tell apart."""
+    """Warn of what a store cannot identify."""
     unread = unread_of(spec)
     if unread:
         warn(
@@ -305,3 +309,25 @@ def _dataset(place: Any, names: list[str], in_memory: bool) -> "xarray.Dataset":
             texts = np.array([str(text) for text in values.values])
             dataset = dataset.assign_coords({name: (values.dims, texts, values.attrs)})
     return dataset
+
+
+def chosen_response(response: Any) -> AbstractMapResponse:
+    """Return the response asked for, by name or with its settings.
+
+    Raises `ValueError` for what is neither.
+    """
+    kinds: dict[str, type[AbstractMapResponse]] = {
+        "sweep": SettledSweep,
+        "periodic": PeriodicPoints,
+        "continuation": ContinuationCurve,
+        "regimes": RegimeSweep,
+    }
+    if isinstance(response, AbstractMapResponse):
+        return response
+    if not isinstance(response, str) or response not in kinds:
+        raise ValueError(
+            f"response must be one of {', '.join(map(repr, kinds))}, or one of vj.SettledSweep(), "
+            f"vj.PeriodicPoints(), vj.ContinuationCurve(), vj.RegimeSweep() with settings, got "
+            f"{response!r}."
+        )
+    return kinds[response]()

@@ -12,9 +12,9 @@ from vibrojax.ensemble.frequencies import DIRECTIONS
 from vibrojax.maps.responses import AbstractMapResponse, Computed, Grid, Points
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem, as_arrays
+from vibrojax.regime.poincare_map import PoincareMap
 from vibrojax.regime.regime_points import SWEPT, RegimePlan, carried_points, regime_plan
 from vibrojax.regime.regimes import check_steps, frequency_unit, regime_method
-from vibrojax.regime.strobing import Strober
 from vibrojax.results.status import Status
 from vibrojax.stepping.method import AbstractMethod
 
@@ -156,23 +156,23 @@ class RegimeSweep(AbstractMapResponse):
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Carry the rigs of a block along the frequencies."""
         sample = maker.sample(tuple(int(i[0]) for i in index))
-        strober = Strober.of(self.march_method(sample, grid), maker.rigs(index))
+        poincare = PoincareMap.of(self.march_method(sample, grid), maker.rigs(index))
         ways = DIRECTIONS[self.direction]
-        lanes, count = len(strober.weight), len(grid.values)
+        lanes, count = len(poincare.weight), len(grid.values)
         rig = np.repeat(np.arange(lanes), len(ways))
-        unit = frequency_unit(strober, grid.axis)
+        unit = frequency_unit(poincare, grid.axis)
         found = carried_points(
-            strober,
+            poincare,
             np.repeat(rig[:, None], count, axis=1),
             grid.values * unit[rig][:, None],
             np.tile([way == "backward" for way in ways], lanes),
-            np.zeros((len(rig), strober.states)),
+            np.zeros((len(rig), poincare.states)),
             self._plan(),
         )
         shape = (lanes, len(ways), count)
         found = {n: v.reshape(*shape, *v.shape[2:]) for n, v in found.items()}
         states = found.pop("state")
-        natural = np.asarray(strober.prepared.first_frequency) / (2 * np.pi)
+        natural = np.asarray(poincare.prepared.first_frequency) / (2 * np.pi)
         return Computed(
             curves={name: found[name] for name in self.variables},
             numbers={"natural_frequency": natural},

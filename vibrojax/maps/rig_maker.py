@@ -15,12 +15,12 @@ import numpy as np
 from vibrojax.ensemble.arguments import Arguments, default_of
 from vibrojax.ensemble.lanes import stacked
 from vibrojax.maps.chunks import Block
-from vibrojax.maps.told_apart import value_digest
+from vibrojax.maps.fingerprints import value_digest
 from vibrojax.model.systems import AbstractSystem, as_arrays, check_made
 from vibrojax.sweep.swept_lanes import Rigs, rigs_of
 
 TOGETHER = 4096
-"""Lanes whose systems are made together to be told from others."""
+"""Lanes whose systems are made together for their fingerprints."""
 NO_RIGS = "none"
 """Stands for rigs that cannot be made."""
 Numbers = tuple[dict[str, Any], ...]
@@ -29,7 +29,7 @@ Numbers = tuple[dict[str, Any], ...]
 
 @eqx.filter_jit
 def _made(make, static: dict[str, Any], fixed: dict[str, Any], numbers: Numbers, with_modes: bool):
-    # One vmap for each dimension: what hangs on one of them only (the modes on taper and mass,
+    # One vmap for each dimension: what depends on one of them only (the modes on taper and mass,
     # say) is computed once for its values, not for every lane.
     def level(depth: int, known: dict[str, Any]) -> Any:
         if depth == len(numbers):
@@ -58,7 +58,7 @@ def _on_host() -> Iterator[None]:
     """Compute on the processor of this host, where results are the same whatever else it has."""
     try:
         device = jax.local_devices(backend="cpu")[0]
-    except RuntimeError:  # JAX was told to use others only
+    except RuntimeError:  # JAX may use others only
         yield
         return
     with jax.default_device(device):
@@ -66,7 +66,7 @@ def _on_host() -> Iterator[None]:
 
 
 class _Stacked:
-    """Systems stacked along a leading axis, to be told from others."""
+    """Systems stacked along a leading axis, for their fingerprints."""
 
     def __init__(self, systems: AbstractSystem) -> None:
         arrays, others = eqx.partition(systems, eqx.is_array)

@@ -10,9 +10,9 @@ import jax
 
 from vibrojax._tools.described import recipe
 from vibrojax.maps.basin_fractions import BasinFractions
+from vibrojax.maps.fingerprints import identity_of, source_of, value_digest
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.store_files import digest
-from vibrojax.maps.told_apart import identity_of, source_of, value_digest
 from vibrojax.maps.work import MapSpec
 from vibrojax.model.systems import AbstractSystem
 
@@ -75,7 +75,7 @@ def identity_of_chunks(settings: dict[str, Any]) -> str:
 
 
 def unread_of(spec: MapSpec) -> list[str]:
-    """Return what functions of the user read and cannot be told from others, in words."""
+    """Return what functions of the user read and has no fingerprint, in words."""
     own: dict[str, Callable[..., Any]] = {m.name: m.function for m in spec.measures if not m.own}
     if isinstance(spec.response, BasinFractions):
         own["start"] = spec.response.start

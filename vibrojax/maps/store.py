@@ -16,7 +16,7 @@ import numpy as np
 
 from vibrojax.maps.chunks import Block, Chunks
 from vibrojax.maps.records import OWN, Records
-from vibrojax.maps.store_files import disk_errors_told, remove, write_file
+from vibrojax.maps.store_files import disk_errors_named, remove, write_file
 from vibrojax.maps.template import FAILED, MISSING
 from vibrojax.maps.work import MapSpec
 
@@ -25,7 +25,7 @@ CREATING = {"vibrojax_map": ""}
 COPY = "map.json"
 """A second copy of the attributes, in the folder of what is not data."""
 NOTES = ("failures", "summary")
-"""Attributes that tell how the last call ended; they are not there while a map is computed."""
+"""Attributes that say how the last call ended; they are not there while a map is computed."""
 
 
 def _zarr() -> Any:
@@ -53,7 +53,7 @@ class MapStore:
 
         `rigs` stands for the numbers of its rigs. Raises `StoreFull`, `StoreReadOnly`.
         """
-        with disk_errors_told():
+        with disk_errors_named():
             for name, value in values.items():
                 if name != "lane_status":
                     self._array(name)[block.region] = value
@@ -63,7 +63,7 @@ class MapStore:
 
     def mark_failed(self, block: Block) -> None:
         """Say that a block was tried and failed. Raises `StoreFull`, `StoreReadOnly`."""
-        with disk_errors_told():
+        with disk_errors_named():
             self._array("lane_status")[block.region] = np.full(block.shape, FAILED, np.int8)
 
     def begin(self) -> None:
@@ -72,7 +72,7 @@ class MapStore:
         This is written in any case: what cannot be written is found out before computing. Raises
         `StoreFull`, `StoreReadOnly`.
         """
-        with disk_errors_told():
+        with disk_errors_named():
             own = {n: value for n, value in dict(self.group.attrs).items() if n not in NOTES}
             self.group.attrs.put(own)
 
@@ -83,7 +83,7 @@ class MapStore:
         """
         found = dict(self.group.attrs)
         if found | attributes != found:
-            with disk_errors_told():
+            with disk_errors_named():
                 self.group.attrs.put(found | attributes)
 
     def change_settings(self, settings: str) -> None:
@@ -91,7 +91,7 @@ class MapStore:
         if self.records is not None and settings != self.group.attrs["vibrojax_map"]:
             file = self.records.place / OWN / COPY
             copy = (attributes_in(file) or {}) | {"vibrojax_map": settings}
-            with disk_errors_told():
+            with disk_errors_named():
                 write_file(file, json.dumps(copy).encode())
             self.note(vibrojax_map=settings)
 
@@ -106,7 +106,7 @@ def create(store: Any, spec: MapSpec, attributes: dict[str, Any]) -> MapStore:
 
     Raises `StoreFull`, `StoreReadOnly`.
     """
-    with disk_errors_told():
+    with disk_errors_named():
         return _create(store, spec, attributes)
 
 

@@ -31,7 +31,7 @@ def is_full(error: BaseException) -> bool:
 
 
 @contextmanager
-def disk_errors_told() -> Iterator[None]:
+def disk_errors_named() -> Iterator[None]:
     """Say in a sentence that a disk is full or cannot be written."""
     try:
         yield

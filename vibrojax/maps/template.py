@@ -54,11 +54,13 @@ def template_of(
     coordinates: dict[str, Any] = {}
     for d in dimensions:
         for name, values in d.values.items():
-            told = axis_description(name) if values.dtype.kind in "fiu" else {}
-            coordinates[name] = ((d.name,), values, told)
+            about = axis_description(name) if values.dtype.kind in "fiu" else {}
+            coordinates[name] = ((d.name,), values, about)
     if ways:
-        told = {"long_name": "Direction of the sweep" if way == "direction" else "Along the branch"}
-        coordinates[way] = ((way,), np.array(ways), told)
+        about = {
+            "long_name": "Direction of the sweep" if way == "direction" else "Along the branch"
+        }
+        coordinates[way] = ((way,), np.array(ways), about)
     frequencies = grid.values[0] if grid.single else grid.values
     inner_axis = () if grid.single else (grid.axis,)
     coordinates[grid.axis] = (inner_axis, frequencies, axis_description(grid.axis))
@@ -93,8 +95,8 @@ def template_of(
                 attributes |= _flags(tuple(kind.name for kind in Regime))
             more = [response.behind[name]] if name in response.behind else []
             for dimension, length in more:
-                told = described(dimension)
-                coordinates[dimension] = ((dimension,), np.arange(length), told)
+                about = described(dimension)
+                coordinates[dimension] = ((dimension,), np.arange(length), about)
             dims = (*inner, *(dimension for dimension, _ in more))
             shape = (*sizes, *(length for _, length in more))
             add(name, dims, shape, np.int32 if name in WHOLE else float, attributes)

@@ -74,7 +74,7 @@ class MapWork:
         return self.some_rigs(number // self.together)[number % self.together]
 
     def _some_rigs(self, part: int) -> list[str]:
-        """Return the same for blocks that are told apart together."""
+        """Return the same for blocks whose fingerprints are made together."""
         chunks = self.spec.chunks
         first = part * self.together
         numbers = range(first, min(first + self.together, chunks.number))

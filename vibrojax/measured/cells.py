@@ -57,8 +57,8 @@ def joined(cells: np.ndarray) -> str:
 def sign_of(text: str, of_file: str) -> str:
     """Return the decimal sign of the cells of a column, both where it has both; else none.
 
-    Its own cells tell, else the decimal commas of the file. A point in other columns does not make
-    `5,400` 5400: columns come from several programs.
+    Its own cells decide, or the decimal commas of the file. A point in other columns does not
+    make `5,400` 5400: columns come from several programs.
     """
     own = decimal_signs(text)
     return own or ("," if of_file == "," else "." if own is None and "," not in of_file else "")
@@ -73,7 +73,7 @@ def doubtful(text: str, sign: str) -> str | None:
 def with_points(cells: np.ndarray, sign: str) -> np.ndarray:
     """Return cells of text with decimal points and nothing between thousands.
 
-    With both signs every cell tells its own. Cells that a sign does not fit become no numbers.
+    With both signs every cell has its own. Cells that a sign does not fit become no numbers.
     """
     text = joined(cells)
     if sign == ".,":

@@ -354,11 +354,11 @@ class MeasuredCurve:
         if self.contact_force is not None:
             lines.append(f"  contact force, N: up to {np.max(self.contact_force):.5g}")
         channels = [n for n in ("amplitude", "contact_force") if getattr(self, n) is not None]
-        told = ", ".join(
+        parts = ", ".join(
             f"{name} {'not given' if getattr(self, f'{name}_deviation') is None else 'given'}"
             for name in channels
         )
-        lines.append(f"  deviations: {told}")
+        lines.append(f"  deviations: {parts}")
         if self.parameters:
             lines.append("  " + ", ".join(f"{k} = {v:g}" for k, v in self.parameters.items()))
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])

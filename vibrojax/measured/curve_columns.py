@@ -229,12 +229,12 @@ class CurveColumns:
         self.is_ratio = self.unit["amplitude"] == "ratio"
         by_unit = "displacement" if self.is_ratio else UNITS[self.unit["amplitude"]].kind
         by_name = next((s for w, s in _SIGNAL_WORDS.items() if w in words), by_unit)
-        for told, where in ((signal, "signal"), (by_name, f"column {column!r}")):
-            if told is not None and told != by_unit:
+        for stated, where in ((signal, "signal"), (by_name, f"column {column!r}")):
+            if stated is not None and stated != by_unit:
                 raise ValueError(
                     f"Unit {self.unit['amplitude']!r} is that of a {by_unit}, but {where} says "
-                    f"{told}. Correct units=dict(amplitude=...) or signal=...; a {told} needs "
-                    f"{SIGNALS[told]}."
+                    f"{stated}. Correct units=dict(amplitude=...) or signal=...; a {stated} needs "
+                    f"{SIGNALS[stated]}."
                 )
         self.signal = by_unit
         fits = re.fullmatch(_AMPLITUDE, words)

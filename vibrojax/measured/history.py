@@ -226,16 +226,16 @@ class MeasuredHistory:
             lines.append(f"  window {self.window[0]:g} to {self.window[1]:g} s: {counted} samples")
         for name, values in self.channels.items():
             given = self.deviation.get(name)
-            told = "not given" if given is None else f"{given:g}"
+            size = "not given" if given is None else f"{given:g}"
             lines.append(
                 f"  {name} {np.min(values):.5g} to {np.max(values):.5g} {CHANNELS[name]}, "
-                f"deviation {told}"
+                f"deviation {size}"
             )
         place = "where the system reports" if self.position is None else f"s = {self.position:g}"
         lines.append(f"  measured {place}, {self.frame}")
         drives = {"frequency": " Hz", "frequency_ratio": "", "release": " m"}
-        told = [f"{n} {getattr(self, n):g}{u}" for n, u in drives.items() if getattr(self, n)]
-        lines.append(f"  {', '.join([*told, 'settled' if self.settled else 'transient'])}")
+        settings = [f"{n} {getattr(self, n):g}{u}" for n, u in drives.items() if getattr(self, n)]
+        lines.append(f"  {', '.join([*settings, 'settled' if self.settled else 'transient'])}")
         if self.parameters:
             lines.append("  " + ", ".join(f"{k} = {v:g}" for k, v in self.parameters.items()))
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])

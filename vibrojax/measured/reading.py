@@ -75,8 +75,8 @@ def read_measured_curve(
             parameters.
         skip_unusable: True leaves rows out that cannot be used, and names them in `notes`; False
             refuses them.
-        decimal: decimal sign of numbers in text, `.` or `,`; None: told by the cells. Where none
-            of them tells (`5,400` may be 5.4 or 5400), it has to be given.
+        decimal: decimal sign of numbers in text, `.` or `,`; None: read off the cells. Where none
+            of them decides (`5,400` may be 5.4 or 5400), it has to be given.
 
     Raises `ValueError` when a source cannot be read, a column, unit or decimal sign is missing,
     ambiguous or unknown, or no row can be used.
@@ -93,9 +93,9 @@ def read_measured_curve(
     try:
         split_by = [split] if isinstance(split, str) else list(split or ())
         table = read_table(source, [*(columns or {}).values(), *split_by], decimal=decimal)
-        told = CurveColumns(table, columns, dict(units or {}), quantity, signal, frame, split_by)
+        given = CurveColumns(table, columns, dict(units or {}), quantity, signal, frame, split_by)
         known = table.attached | check_parameters(parameters or {})
-        found = _Reader(table, told).curves(direction, known, skip_unusable)
+        found = _Reader(table, given).curves(direction, known, skip_unusable)
     except ValueError as error:
         raise ValueError(f"Measured curve from {label!r}: {error}") from None
     return MeasuredCurves(tuple(found)) if split_by else found[0]
@@ -104,9 +104,9 @@ def read_measured_curve(
 class _Reader:
     """The curves of a table of which the columns are known."""
 
-    def __init__(self, table: Table, told: CurveColumns):
-        self.table, self.told = table, told
-        self.notes = [*table.notes, *told.notes]
+    def __init__(self, table: Table, given: CurveColumns):
+        self.table, self.own = table, given
+        self.notes = [*table.notes, *given.notes]
 
     def curves(
         self, direction: str | int | None, known: dict[str, float], skip: bool
@@ -115,16 +115,16 @@ class _Reader:
         trouble = Unusable(len(self.table.lines))
         values = self._values(trouble)
         directions = self._directions(direction, trouble)
-        splitting = Splitting(self.table, self.told.split, self.told.units, trouble)
+        splitting = Splitting(self.table, self.own.split, self.own.units, trouble)
         keep, left_out = usable(self.table, trouble, skip)
         if left_out:
             self.notes.append(left_out)
         found = []
         for key, rows in splitting.parts(keep):
             parameters = {
-                n: v for n, v in zip(self.told.split, key, strict=True) if type(v) is float
+                n: v for n, v in zip(self.own.split, key, strict=True) if type(v) is float
             }
-            named = [f"{n} = {v}" for n, v in zip(self.told.split, key, strict=True)]
+            named = [f"{n} = {v}" for n, v in zip(self.own.split, key, strict=True)]
             label = ", ".join(filter(None, [self.table.label, *named]))
             found.append(self._curve(values, rows, directions, known | parameters, label))
         return found
@@ -132,7 +132,7 @@ class _Reader:
     def _values(self, trouble: Unusable) -> dict[str, np.ndarray]:
         """Return the numbers of every column in SI units; `response` is the complex amplitude."""
         values = {}
-        for key, column in self.told.columns.items():
+        for key, column in self.own.columns.items():
             if key == "direction":
                 continue
             if key == "phase":  # a row without it still has its amplitude
@@ -160,43 +160,43 @@ class _Reader:
                 )
             what = "negative" if at_least else "not above 0"
             trouble.add(bad, lambda row, k=key, w=what, f=found: f"{k} is {w}: {f[row]:g}")
-        if self.told.own and "status" in self.table.columns:
+        if self.own.own and "status" in self.table.columns:
             unsettled = np.asarray(self.table.columns["status"]).astype(float) != 0
             trouble.add(unsettled, lambda row: "not settled")
         for key, whole in (
             ("deviation", "amplitude"),
             ("contact_force_deviation", "contact_force"),
         ):
-            if key in values and UNITS[self.told.unit[key]].kind == "relative":
+            if key in values and UNITS[self.own.unit[key]].kind == "relative":
                 # A deviation of 0 at a value of 0 would claim to know it exactly.
                 least = 0.01 * np.nanmax(values[whole], initial=0.0)
-                part = UNITS[self.told.unit[key]].factor * values[key]
+                part = UNITS[self.own.unit[key]].factor * values[key]
                 values[key] = part * np.maximum(values[whole], least)
         return values
 
     def _in_si(self, key: str, found: np.ndarray) -> np.ndarray:
-        if key in self.told.unit and UNITS[self.told.unit[key]].kind != "relative":
-            return found * UNITS[self.told.unit[key]].factor
+        if key in self.own.unit and UNITS[self.own.unit[key]].kind != "relative":
+            return found * UNITS[self.own.unit[key]].factor
         return found
 
     def _response(self, column: str, trouble: Unusable) -> np.ndarray:
         """Return the amplitude, complex where it is; say what was taken for it."""
-        if self.told.imaginary is not None:
+        if self.own.imaginary is not None:
             real, imaginary = (
                 real_numbers(self.table, name, "amplitude", trouble)
-                for name in (column, self.told.imaginary)
+                for name in (column, self.own.imaginary)
             )
             return real + 1j * imaginary
         found = numbers(self.table, column, "amplitude", trouble)
         if not np.iscomplexobj(found):
-            if not self.told.quantity and "amp" not in split_header(column).words:
+            if not self.own.quantity and "amp" not in split_header(column).words:
                 self.notes.append(
                     f"Column {column!r} was taken to be amplitudes, (max - min)/2: give quantity= "
                     "if it is another quantity."
                 )
-        elif "phase" in self.told.columns:
+        elif "phase" in self.own.columns:
             raise ValueError(
-                f"Column {column!r} is complex, and {self.told.columns['phase']!r} is a phase too: "
+                f"Column {column!r} is complex, and {self.own.columns['phase']!r} is a phase too: "
                 "leave one out, columns=dict(phase=None)."
             )
         return found
@@ -208,9 +208,9 @@ class _Reader:
             if one is None:
                 raise ValueError(f"direction must be {ALLOWED}, got {direction!r}.")
             return np.full(len(self.table.lines), one)
-        if "direction" not in self.told.columns:
+        if "direction" not in self.own.columns:
             return None
-        cells = self.table.columns[self.told.columns["direction"]]
+        cells = self.table.columns[self.own.columns["direction"]]
         found = directions_in(cells)
         trouble.add(
             found == NO_DIRECTION, lambda row: f"direction is not {ALLOWED}: {cells[row]!r}"
@@ -232,7 +232,7 @@ class _Reader:
             notes.append(sentence)
         else:
             found = directions[rows]
-        ratio = self.told.unit["frequency"] == "ratio"
+        ratio = self.own.unit["frequency"] == "ratio"
         curve = MeasuredCurve(
             part["frequency"],
             "frequency_ratio" if ratio else "frequency",
@@ -241,10 +241,10 @@ class _Reader:
             part.get("contact_force"),
             part.get("contact_force_deviation"),
             found,
-            self.told.quantity,
-            self.told.signal,
-            self.told.is_ratio,
-            self.told.frame,
+            self.own.quantity,
+            self.own.signal,
+            self.own.is_ratio,
+            self.own.frame,
             parameters,
             label,
             tuple(notes),

@@ -49,7 +49,7 @@ def read_table(
 
     `wanted` are the columns asked for: whole numbers among them are positions in a file, counted
     from 0. With `along`, only variables along that dimension are taken from a dataset, and forces
-    are summed over stops. `decimal` is the decimal sign of text, None: told by the cells. Raises
+    are summed over stops. `decimal` is the decimal sign of text, None: read off the cells. Raises
     `ValueError` when the source cannot be read or is no table.
     """
     import xarray
@@ -113,7 +113,7 @@ def _of_file(
 
 
 def _with_signs(table: Table, of_file: str | None, decimal: str | None) -> Table:
-    """Add the decimal signs of columns of text, and a note where the cells told them."""
+    """Add the decimal signs of columns of text, and a note where the cells showed them."""
     if of_file is None:
         return table
     texts = {n: joined(c) for n, c in table.columns.items() if c.dtype.kind in "OUT"}

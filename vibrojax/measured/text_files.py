@@ -87,8 +87,8 @@ def read_text(raw: bytes, by_position: bool, decimal: str | None) -> TextTable:
     """Split the text of a file, with a header unless columns are asked for by position.
 
     Cells are between semicolons, tabs, commas or spaces, whichever the first row has; `#` begins a
-    comment. `decimal` is the decimal sign, None: told by the cells. Raises `ValueError` for what is
-    no such table; its message goes on from the name of the file.
+    comment. `decimal` is the decimal sign, None: from the cells. Raises `ValueError` for what is no
+    such table; its message goes on from the name of the file.
     """
     first, comment, line, rest = _first_row(_decoded(raw))
     unquoted = re.sub(r'"[^"]*"', "", first)

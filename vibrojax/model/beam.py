@@ -42,7 +42,7 @@ class PointMass(eqx.Module):
     mass: float | Float[Array, "..."] = _field("kg")
     """Mass, kg."""
     position: float | Float[Array, "..."] = _field(default=1.0)
-    """Place s = x/L in (0, 1], the tip unless told otherwise."""
+    """Place s = x/L in (0, 1], the tip unless another is given."""
 
     def __check_init__(self) -> None:
         """Refuse concrete values that are not a mass on the beam."""

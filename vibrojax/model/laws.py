@@ -1,6 +1,6 @@
 """Contact laws: the force of a stop as a function of penetration and its rate.
 
-`docs/how_to/contact_laws.md` tells how to write one's own. Laws are elementwise and never look at
+`docs/how_to/contact_laws.md` shows how to write one's own. Laws are elementwise and never look at
 the gap: the `Stop` decides when there is contact and rounds the corner of the force.
 """
 

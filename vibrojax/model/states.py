@@ -34,26 +34,26 @@ def as_state(name: str, given: Any, equations: Any) -> Float[Array, " states"]:
     """
     n, size = equations.size, equations.state_size
     given = getattr(given, "initial_state", given)  # of a PeriodicResponse or a point of a branch
-    told, state = repr(given), None
+    shown, state = repr(given), None
     try:
         rows = isinstance(given, list | tuple) or getattr(given, "ndim", 1) == 2
         several = rows and len(given) in (2, 3)
         parts = [jnp.asarray(part, float) for part in (given if several else (given,))]
         shapes = [part.shape for part in parts]
         if several and shapes[0]:
-            told = f"shapes {shapes}"
+            shown = f"shapes {shapes}"
             if shapes == [(n,), (n,), (size - 2 * n,)][: len(parts)]:
                 state = jnp.concatenate(parts)
         else:
             state = jnp.stack(parts) if several else parts[0]
-            told = f"an array of shape {state.shape}"
+            shown = f"an array of shape {state.shape}"
     except (TypeError, ValueError, OverflowError):
         state = None
     if state is None or state.shape not in ((size,), (2 * n,)):
         memories = f", and the memories of the stops, shape ({size - 2 * n},)" * (size > 2 * n)
         raise ValueError(
             f"{name} must be q and q' of shape ({n},) each{memories}, or a state (q, q') of shape "
-            f"({size},), got {told}. The system's state(displacement=..., velocity=...) makes one."
+            f"({size},), got {shown}. The system's state(displacement=..., velocity=...) makes one."
         )
     values = concrete(state)
     if values is not None and not np.isfinite(values).all():

@@ -1,7 +1,7 @@
 """Which attractors many starts lead to: march, recognise, match, and drop what has arrived.
 
 All starts are marched window by window. A start whose motion returns is parked; of every cluster of
-parked ones a candidate marches on until it is closer to its limit, whose strobed states then are an
+parked ones a candidate marches on until it is closer to its limit, whose states then are an
 attractor, and the parked starts near any of these states are its. So only few starts are followed
 to their limit, and near misses (a start that lingers at a saddle) are found out, as their candidate
 leaves it again. Pilots go first: the others arrive, in shorter windows, where they run along an
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.regime.observing import Sampling, sample_motions
-from vibrojax.regime.strobing import StrobePlan, Strober, width_for
+from vibrojax.regime.poincare_map import PoincareMap, SectionPlan, width_for
 
 MARCHING, CANDIDATE, PARKED, ARRIVED, APERIODIC, LOST, WAITING = range(7)
 PILOTS = 16
@@ -33,7 +33,7 @@ WINDOWS = 8
 FAR = 10.0
 """Tolerances up to which a start that returns, but is out of time, is given to an attractor."""
 MOST = 64
-"""Periodic attractors told apart at one place."""
+"""Most periodic attractors of one place."""
 WATCHED = (24, 60)
 """Drive periods over which means and powers are taken: the first that all periods divide."""
 NARROW, MANY = 16, 8
@@ -74,29 +74,29 @@ class Attractors(NamedTuple):
 class _Orbit(NamedTuple):
     """A periodic attractor."""
 
-    strobes: Float[np.ndarray, "period states"]
+    section: Float[np.ndarray, "period states"]
     """Weighted states, that of the lowest first coordinate first."""
     state: Float[np.ndarray, " states"]
 
     @property
     def period(self) -> int:
-        return len(self.strobes)
+        return len(self.section)
 
     @property
     def size(self) -> float:
-        return float(np.sqrt(np.mean(np.sum(self.strobes**2, axis=1))))
+        return float(np.sqrt(np.mean(np.sum(self.section**2, axis=1))))
 
 
 class _Search:
     """Starts on their ways; lane k is start k % starts of place k // starts."""
 
-    def __init__(self, strober, rig, frequency, starts, plan: BasinPlan, tell):
+    def __init__(self, poincare, rig, frequency, starts, plan: BasinPlan, report):
         places, count, _ = starts.shape
-        self.strober, self.plan, self.tell = strober, plan, tell
+        self.poincare, self.plan, self.report = poincare, plan, report
         self.place = np.repeat(np.arange(places), count)
         self.rig, self.frequency = rig[self.place], frequency[self.place]
         self.state = starts.reshape(places * count, -1).copy()
-        self.weight = strober.weight[rig]
+        self.weight = poincare.weight[rig]
         self.stage = np.full(len(self.place), MARCHING)
         self.marched = np.zeros(len(self.place), int)
         self.windows = np.zeros(len(self.place), int)
@@ -141,7 +141,7 @@ class _Search:
         """Return the states of some lanes after each period of a short window."""
         every = self._filled(lanes)
         rig, frequency, state = self.rig[every], self.frequency[every], self.state[every]
-        return self.strober.strobes(rig, frequency, state, SHORT)[: len(lanes)]
+        return self.poincare.section(rig, frequency, state, SHORT)[: len(lanes)]
 
     def _join(self, place, lanes, record):
         """Let lanes arrive that run along an orbit of their place all through a short window."""
@@ -152,9 +152,9 @@ class _Search:
         back = np.arange(SHORT)[::-1]
         for k, known in enumerate(self.orbits[place]):
             n = known.period
-            away = cdist(record.reshape(-1, record.shape[2]), known.strobes)
+            away = cdist(record.reshape(-1, record.shape[2]), known.section)
             away = away.reshape(len(lanes), SHORT, n) / max(known.size, TINY)
-            # By the strobe at which the window would end.
+            # By the state at which the window would end.
             path = [away[:, np.arange(SHORT), (end - back) % n].max(axis=1) for end in range(n)]
             end = np.argmin(path, axis=0)
             farthest = np.array(path)[end, rows]
@@ -192,8 +192,8 @@ class _Search:
         """March a window; returns period and error of the return."""
         plan = self.plan
         every = self._filled(lanes)
-        window = StrobePlan(0, plan.periods, plan.max_period, plan.tolerance, False)
-        found = self.strober.observe(
+        window = SectionPlan(0, plan.periods, plan.max_period, plan.tolerance, False)
+        found = self.poincare.observe(
             self.rig[every], self.frequency[every], self.state[every], window
         )
         n = len(lanes)
@@ -205,7 +205,7 @@ class _Search:
 
     def _end(self, lanes, stage):
         self.stage[lanes] = stage
-        self.tell(len(lanes))
+        self.report(len(lanes))
 
     def _weighted(self, lanes):
         return self.state[lanes] * self.weight[self.place[lanes]]
@@ -234,18 +234,18 @@ class _Search:
             self._match(place)
             if self.stage[lane] == ARRIVED:
                 continue
-            strobes = record[k, :n]
+            section = record[k, :n]
             # From the same phase whichever start was the candidate.
-            strobes = np.roll(strobes, -int(np.argmin(strobes[:, 0])), axis=0)
-            self.orbits[place].append(_Orbit(strobes * self.weight[place], strobes[0]))
+            section = np.roll(section, -int(np.argmin(section[:, 0])), axis=0)
+            self.orbits[place].append(_Orbit(section * self.weight[place], section[0]))
             self._match(place)
 
     def _distances(self, place, lanes):
-        """Distance of some lanes from every orbit, relative to its size, and the nearest strobe."""
+        """Distance of some lanes from every orbit, relative to its size, and its nearest state."""
         from scipy.spatial.distance import cdist
 
         states = self._weighted(lanes)
-        away = [cdist(states, orbit.strobes) for orbit in self.orbits[place]]
+        away = [cdist(states, orbit.section) for orbit in self.orbits[place]]
         nearest = np.stack([a.argmin(axis=1) for a in away], axis=1)
         sizes = [max(orbit.size, TINY) for orbit in self.orbits[place]]
         distance = np.stack([a.min(axis=1) / s for a, s in zip(away, sizes, strict=True)], axis=1)
@@ -298,21 +298,21 @@ class _Search:
 
 
 def find_attractors(
-    strober: Strober,
+    poincare: PoincareMap,
     rig: Int[np.ndarray, " places"],
     angular_frequency: Float[np.ndarray, " places"],
     starts: Float[np.ndarray, "places starts states"],
     plan: BasinPlan,
-    tell: Callable[[int], object] = lambda count: None,
+    report: Callable[[int], object] = lambda count: None,
 ) -> list[Attractors]:
-    """Follow the starts of every place, a rig at a frequency (rad/s), to what they come to."""
-    search = _Search(strober, rig, angular_frequency, starts, plan, tell)
+    """Follow the starts of every place, a rig at a frequency (rad/s), to their attractors."""
+    search = _Search(poincare, rig, angular_frequency, starts, plan, report)
     search.run()
     return _watched(search)
 
 
 def _watched(search: _Search) -> list[Attractors]:
-    """Watch every attractor, and every start that came to none, and number them by share."""
+    """Watch every attractor, and every start that reached none, and number them by share."""
     orbits = [(p, o) for p, own in enumerate(search.orbits) for o in own]
     wild = np.flatnonzero(search.stage == APERIODIC)
     place = np.concatenate([np.array([p for p, _ in orbits], int), search.place[wild]])
@@ -324,7 +324,7 @@ def _watched(search: _Search) -> list[Attractors]:
         sampling = Sampling(next(fits, WATCHED[0]), SAMPLES, search.plan.barrier, False)
         any_lane = place * (len(search.place) // len(search.orbits))
         rig, frequency = search.rig[any_lane], search.frequency[any_lane]
-        numbers = sample_motions(search.strober, rig, frequency, states, sampling)
+        numbers = sample_motions(search.poincare, rig, frequency, states, sampling)
     places = range(len(search.orbits))
     return [_of_place(search, p, place, len(orbits), wild, numbers) for p in places]
 
@@ -333,7 +333,7 @@ def _of_place(search, place, places, count, wild, numbers) -> Attractors:
     """Number the attractors of one place."""
     lanes = np.flatnonzero(search.place == place)
     kinds: dict[tuple, np.ndarray] = {}
-    """Lanes by what they came to: (orbit, shift), or (-1, cross-well)."""
+    """Lanes by their attractor: (orbit, shift), or (-1, cross-well)."""
     rows: dict[tuple, np.ndarray] = {}
     """Where in the numbers a kind is described."""
     first = int(np.sum(places[:count] < place))

@@ -29,7 +29,7 @@ from vibrojax.model.states import as_state
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.regime.attractors import Attractors, BasinPlan, find_attractors
 from vibrojax.regime.basins_result import Basins
-from vibrojax.regime.strobing import Strober
+from vibrojax.regime.poincare_map import PoincareMap
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.sweep.swept_lanes import rigs_of
@@ -108,7 +108,7 @@ def basins(
     single = np.ndim(given) == 0
     axis, grid = frequency_axis(frequency_ratio, frequency)
     names = numbers_of(start)
-    told = _units(names, units)
+    unit_of = _units(names, units)
     places = places_of(names, axes, starts, samples, seed)
     own = {name: value for name, value in axes.items() if name not in names}
     lanes = lanes_of(system, own, zipped)
@@ -116,14 +116,14 @@ def basins(
     equations = lanes.sample.equations()
     states = states_of(start, places, starts, equations)
     chosen = choose_method(lanes.sample, method, 1e-4, None)
-    strober = Strober.of(chosen, rigs_of(lanes.systems))
+    poincare = PoincareMap.of(chosen, rigs_of(lanes.systems))
     from tqdm import tqdm
 
     hidden = None if progress is None else not progress
     total = len(states) * len(grid) * int(np.prod(lanes.shape))
     delay = 2.0 if progress is None else 0.0
     with tqdm(total=total, desc="basins", disable=hidden, delay=delay, unit="start") as bar:
-        found = attractors_over(strober, axis, grid, states, plan, bar.update)
+        found = attractors_over(poincare, axis, grid, states, plan, bar.update)
     outer = lanes.axes | ({} if single else {axis: grid})
     shape = tuple(len(values) for values in outer.values())
     inner = tuple(len(values) for values in places.values())
@@ -131,7 +131,7 @@ def basins(
         axes=outer,
         starts=places,
         sampling=starts,
-        units=told,
+        units=unit_of,
         attributes={
             "title": "vibrojax basins of attraction",
             "rig": lanes.description,
@@ -241,20 +241,20 @@ def states_of(
 
 
 def attractors_over(
-    strober: Strober,
+    poincare: PoincareMap,
     axis: str,
     grid: Float[np.ndarray, " frequencies"],
     states: Float[np.ndarray, "starts states"],
     plan: BasinPlan,
-    tell: Callable[[int], object] = lambda count: None,
+    report: Callable[[int], object] = lambda count: None,
 ) -> list[Attractors]:
     """Find the attractors of every rig at every frequency, frequencies running fastest."""
-    first = np.asarray(strober.prepared.first_frequency)
+    first = np.asarray(poincare.prepared.first_frequency)
     unit = first if axis == "frequency_ratio" else np.full(len(first), 2 * np.pi)
     rig = np.repeat(np.arange(len(first)), len(grid))
     angular = np.tile(grid, len(first)) * unit[rig]
     starts = np.broadcast_to(states, (len(rig), *states.shape))
-    return find_attractors(strober, rig, angular, starts, plan, tell)
+    return find_attractors(poincare, rig, angular, starts, plan, report)
 
 
 def _units(names: tuple[str, ...], units: dict[str, str] | None) -> dict[str, str]:

@@ -98,7 +98,7 @@ class Basins(eqx.Module):
     periods_marched: Int[Array, "..."]
     """Drive periods marched with every start."""
     units: dict[str, str] = eqx.field(static=True)
-    """Of the two numbers, by name; empty where they were not told."""
+    """Of the two numbers, by name; empty where they were not given."""
     attributes: dict[str, str] = eqx.field(static=True)
     """What was run: rig, settings, versions."""
 
@@ -155,7 +155,7 @@ class Basins(eqx.Module):
     def name_of(self, attractor: int, index: tuple[int, ...] = ()) -> str:
         """Return what an attractor is, in words; `index` is the place along the other axes.
 
-        Attractors, from 1, that are alike in this are told apart by their mean displacements.
+        Attractors, from 1, that are alike in this are distinguished by their mean displacements.
         Raises `ValueError` for one that is not there.
         """
         *over, found = self.period.shape
@@ -185,7 +185,7 @@ class Basins(eqx.Module):
         outer = tuple(self.axes)
         inner = tuple(self.starts) if self.sampling == "grid" else ("start",)
 
-        def told(name: str) -> dict[str, str]:
+        def about(name: str) -> dict[str, str]:
             units, long_name = VARIABLES[name]
             return {"units": units, "long_name": long_name}
 
@@ -195,17 +195,17 @@ class Basins(eqx.Module):
             name: (
                 (*outer, "attractor_number"),
                 np.asarray(values.get(name, getattr(self, name, None))),
-                told(name),
+                about(name),
             )
             for name in OF_ATTRACTORS
         }
-        data["attractor"] = ((*outer, *inner), self.attractor, told("attractor"))
-        marched = told("periods_marched")
+        data["attractor"] = ((*outer, *inner), self.attractor, about("attractor"))
+        marched = about("periods_marched")
         data["periods_marched"] = ((*outer, *inner), self.periods_marched, marched)
-        data["diverged_share"] = (outer, np.asarray(self.diverged_share), told("diverged_share"))
+        data["diverged_share"] = (outer, np.asarray(self.diverged_share), about("diverged_share"))
         if self.sampling == "grid":
             edge = np.asarray(self.boundary_share)
-            data["boundary_share"] = (outer, edge, told("boundary_share"))
+            data["boundary_share"] = (outer, edge, about("boundary_share"))
         coordinates: dict[str, Any] = coordinates_of(self.axes)
         for name, axis in self.starts.items():
             dimension = name if self.sampling == "grid" else "start"
@@ -233,8 +233,8 @@ class Basins(eqx.Module):
         index, chosen, left = pick(self.axes, selection)
         for name in left:
             if len(self.axes[name]) > 1:
-                told = example(self.axes, name)
-                raise ValueError(f"Give a value of {name} too, such as {told}.")
+                about = example(self.axes, name)
+                raise ValueError(f"Give a value of {name} too, such as {about}.")
         alone = {n: own[0].item() for name in left for n, own in self._along(name).items()}
         return tuple(0 if isinstance(at, slice) else at for at in index), chosen | alone
 

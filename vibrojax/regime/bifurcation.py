@@ -14,6 +14,7 @@ from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.model.states import as_state
 from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.regime.bifurcation_result import BifurcationDiagram
+from vibrojax.regime.poincare_map import PoincareMap
 from vibrojax.regime.regime_points import carried_points, regime_plan
 from vibrojax.regime.regimes import (
     attributes_of,
@@ -22,7 +23,6 @@ from vibrojax.regime.regimes import (
     regime_method,
     start_states,
 )
-from vibrojax.regime.strobing import Strober
 from vibrojax.stepping.method import AbstractMethod
 from vibrojax.sweep.swept_lanes import rigs_of
 
@@ -89,26 +89,26 @@ def bifurcation_diagram(
         spectrum=spectrum,
     )
     lanes = lanes_of(system, axes, zipped)
-    course = _course(lanes, axis, grid, along)
+    paths = _lanes_along(lanes, axis, grid, along)
     chosen = regime_method(lanes.sample, axis, method, step_tolerance, steps_per_period)
     state = _first_state(lanes.sample, start)
-    strober = Strober.of(chosen, rigs_of(lanes.systems))
+    poincare = PoincareMap.of(chosen, rigs_of(lanes.systems))
     ways = DIRECTIONS[direction]
-    count = len(course.rig)
-    rig = np.repeat(course.rig, len(ways), axis=0)
-    angular = np.repeat(course.frequency, len(ways), axis=0) * frequency_unit(strober, axis)[rig]
+    count = len(paths.rig)
+    rig = np.repeat(paths.rig, len(ways), axis=0)
+    angular = np.repeat(paths.frequency, len(ways), axis=0) * frequency_unit(poincare, axis)[rig]
     backward = np.tile([way == "backward" for way in ways], count)
     with progress_bar("bifurcation diagram", rig.size, progress) as bar:
         begin = np.repeat(state, len(rig), axis=0)
-        found = carried_points(strober, rig, angular, backward, begin, plan, bar.update)
+        found = carried_points(poincare, rig, angular, backward, begin, plan, bar.update)
     del found["state"]
-    shape = (*(len(v) for v in course.axes.values()), len(ways))
+    shape = (*(len(v) for v in paths.axes.values()), len(ways))
     _, ratio_units = lanes.sample.drive.reference
     return BifurcationDiagram(
-        parameter=course.name,
-        values=course.values,
+        parameter=paths.name,
+        values=paths.values,
         directions=ways,
-        axes=course.axes,
+        axes=paths.axes,
         variables={n: v.reshape(*shape, *v.shape[1:]) for n, v in found.items()},
         orders=plan.sampling.orders if spectrum else None,
         ratio_units=ratio_units,
@@ -126,7 +126,7 @@ def _first_state(sample: AbstractSystem, start: Any) -> Float[np.ndarray, "1 sta
     return np.asarray(as_state("start", start, as_arrays(sample).equations()))[None]
 
 
-class _Course(NamedTuple):
+class _LanesAlong(NamedTuple):
     """What the lanes go along, values as the last axis."""
 
     name: str
@@ -138,7 +138,7 @@ class _Course(NamedTuple):
     """In the unit that was asked for."""
 
 
-def _course(lanes: Lanes, axis: str, grid: np.ndarray, along: str | None) -> _Course:
+def _lanes_along(lanes: Lanes, axis: str, grid: np.ndarray, along: str | None) -> _LanesAlong:
     lists = dict(lanes.axes)
     if len(grid) > 1 or not lists:
         lists[axis] = grid
@@ -174,4 +174,4 @@ def _course(lanes: Lanes, axis: str, grid: np.ndarray, along: str | None) -> _Co
         full = np.broadcast_to(array, shape)
         return np.moveaxis(full, place, -1).reshape(-1, len(values))
 
-    return _Course(along, values, others, arranged(rig), arranged(frequency))
+    return _LanesAlong(along, values, others, arranged(rig), arranged(frequency))

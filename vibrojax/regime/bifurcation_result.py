@@ -80,8 +80,8 @@ class BifurcationDiagram(AbstractRegimeTable):
         """
         index, _, left = pick(self.axes, selection)
         if left:
-            told = example(self.axes, left[0])
-            raise ValueError(f"Give a value of {' and '.join(left)}, such as {told}.")
+            example_of = example(self.axes, left[0])
+            raise ValueError(f"Give a value of {' and '.join(left)}, such as {example_of}.")
         values, found = np.asarray(self.values), []
         for direction, period in zip(self.directions, self.period[index], strict=True):
             for k in np.flatnonzero(np.diff(period)):

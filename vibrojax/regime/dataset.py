@@ -25,16 +25,16 @@ FLAGS = {
 def description(name: str, ratio_units: str) -> dict[str, Any]:
     """Return unit and long name of a variable, and the words of one that counts kinds."""
     known = described_statistic(name)
-    told: dict[str, Any] = {
+    about: dict[str, Any] = {
         "units": ratio_units if known.units == "ratio" else known.units,
         "long_name": known.long_name,
     }
     if name in FLAGS:
-        told |= {
+        about |= {
             "flag_values": list(range(len(FLAGS[name]))),
             "flag_meanings": " ".join(FLAGS[name]),
         }
-    return told
+    return about
 
 
 def dataset_of(
@@ -55,11 +55,11 @@ def dataset_of(
     own: dict[str, Any] = coordinates_of(coordinates)
     if "displacement" in variables:
         count = variables["displacement"].shape[-1]
-        told = {"units": "1", "long_name": VARIABLES["strobe"].long_name}
-        own["strobe"] = (("strobe",), np.arange(count), told)
+        about = {"units": "1", "long_name": VARIABLES["strobe"].long_name}
+        own["strobe"] = (("strobe",), np.arange(count), about)
     if orders is not None and "spectrum" in variables:
-        told = {"units": "1", "long_name": VARIABLES["order"].long_name}
-        own["order"] = (("order",), orders, told)
+        about = {"units": "1", "long_name": VARIABLES["order"].long_name}
+        own["order"] = (("order",), orders, about)
     return xarray.Dataset(data, own, attrs=dict(attributes))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 QUIET = 4.0
-"""Growth of a tangent over the whole window, as a power of e, that is not told from none.
+"""Growth of a tangent over the whole window, as a power of e, that counts as none.
 
 A motion on a torus has a bounded one, with a standard error of about as much."""
 FAR = 10.0
@@ -16,7 +16,7 @@ CERTAIN = 3.0
 
 
 class Regime(enum.Enum):
-    """The kind of motion that a lane came to."""
+    """The kind of motion of a lane."""
 
     periodic = 0
     quasi_periodic = 1

@@ -38,12 +38,12 @@ FADING = 0.25
 
 
 class Growth(NamedTuple):
-    """What a state and its tangent came to over some intervals."""
+    """A state and its tangent after some intervals."""
 
     state: Float[Array, "states *lanes"]
     tangent: Float[Array, "states *lanes"]
     """Of length 1 in the weighted norm."""
-    strobes: Float[Array, "count states *lanes"]
+    section: Float[Array, "count states *lanes"]
     """States after every interval."""
     log_growth: Float[Array, "count *lanes"]
     """Logarithm of the growth of the tangent in every interval."""
@@ -79,8 +79,8 @@ def tangent_growth(
         growth = jnp.log(jnp.where(gone, jnp.finfo(length.dtype).tiny, length))
         return (state, tangent), (state, growth)
 
-    (state, tangent), (strobes, growth) = lax.scan(interval, (state, tangent), None, length=count)
-    return Growth(state, tangent, strobes, growth)
+    (state, tangent), (section, growth) = lax.scan(interval, (state, tangent), None, length=count)
+    return Growth(state, tangent, section, growth)
 
 
 def mean_rate(
@@ -90,7 +90,7 @@ def mean_rate(
 
     The mean fades out at both ends of the record, so that a growth that goes up and down, as that
     of a turning tangent, leaves hardly a trace. The error is that of the means of batches, whose
-    length grows with the record, so that growths that hang together do not make it look small.
+    length grows with the record, so that growths that are correlated do not make it look small.
     """
     count = log_growth.shape[0]
     batches = min(BATCHES, max(2, math.isqrt(count)))
@@ -141,7 +141,7 @@ def lyapunov_exponent(
     tolerance: float = 1e-6,
     steps_per_period: int | None = None,
 ) -> LyapunovExponent:
-    """Return the largest Lyapunov exponent of the motion that a system comes to.
+    """Return the largest Lyapunov exponent of the motion that a system settles to.
 
     Positive: neighbouring motions part, the motion is chaotic. Zero: quasi-periodic. Negative: a
     periodic motion, and the exponent is the logarithm of its leading Floquet multiplier per time.
@@ -151,7 +151,7 @@ def lyapunov_exponent(
         frequency, frequency_ratio: drive frequency, one of the two (Hz; ratio to the first natural
             frequency of the unstopped system). Without a drive it only serves as a clock.
         periods: drive periods over which the growth is averaged.
-        transient: drive periods marched before, to come to the motion that lasts.
+        transient: drive periods marched before, to reach the motion that lasts.
         initial_state: at drive phase 0, as of `simulate`: what `system.state(displacement=...)`
             makes, or a state in the coordinates of the system; at rest by default.
         method: how to step; by default what suits the system.

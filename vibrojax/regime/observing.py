@@ -1,4 +1,4 @@
-"""What a motion does between its strobes: observables, sides of a barrier, spectrum."""
+"""What a motion does within a drive period: observables, sides of a barrier, spectrum."""
 
 import math
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from vibrojax.model.drives import Harmonic
 from vibrojax.model.systems import Motion
-from vibrojax.regime.strobing import Numbers, Strober, in_chunks
+from vibrojax.regime.poincare_map import Numbers, PoincareMap, in_chunks
 from vibrojax.stepping.method import AbstractMethod, ExactContact, with_traced_numbers
 from vibrojax.sweep.swept_lanes import Rigs
 
@@ -24,7 +24,7 @@ HIGHEST_ORDER = 8
 
 
 class Sampling(NamedTuple):
-    """How motions are looked at between their strobes."""
+    """How motions are looked at between their states on the section."""
 
     periods: int
     samples_per_period: int
@@ -146,7 +146,7 @@ def amplitude_spectrum(
 
 
 def sample_motions(
-    strober: Strober,
+    poincare: PoincareMap,
     rig: Int[np.ndarray, " lanes"],
     angular_frequency: Numbers,
     state: Float[np.ndarray, "lanes states"],
@@ -158,7 +158,7 @@ def sample_motions(
     the strain energy (`strain_power`, W), strobed `displacement` and `velocity` of the response,
     `cross_well`, `crossings_per_period` and, where asked for, `spectrum`.
     """
-    method, rigs, periods = strober.method, strober.rigs, sampling.periods
+    method, rigs, periods = poincare.method, poincare.rigs, sampling.periods
     numbers = with_traced_numbers(method)
     per_period = sampling.samples_per_period
     parts = steps_per_sample(method, rigs, rig, angular_frequency, per_period)
@@ -166,7 +166,7 @@ def sample_motions(
     begin = np.where(lost[:, None], 0.0, state)
 
     def run(k: np.ndarray) -> dict[str, Any]:
-        own, w = strober.rigs_at(rig[k]), angular_frequency[k]
+        own, w = poincare.rigs_at(rig[k]), angular_frequency[k]
         seen = _sampled(numbers, own, w, begin[k], parts[k], periods, per_period)
         displacement, velocity, found = jax.device_get(seen)
         crosses, crossings = sides(np.nan_to_num(displacement), sampling.barrier)

@@ -21,7 +21,7 @@ class PeriodNumber(NamedTuple):
 
 
 def period_number(
-    strobes: Float[Array, "count states *lanes"],
+    section: Float[Array, "count states *lanes"],
     tolerance: Float[ArrayLike, ""],
     max_period: int,
 ) -> PeriodNumber:
@@ -38,14 +38,14 @@ def period_number(
     """
     check_positive("tolerance", tolerance, "(relative return)")
     check_count("max_period", max_period)
-    count = strobes.shape[0]
+    count = section.shape[0]
     if count < 2 * max_period:
         raise ValueError(
-            f"strobes must have at least 2 max_period = {2 * max_period} states, got {count}. "
+            f"section must have at least 2 max_period = {2 * max_period} states, got {count}. "
             "Observe more periods, or look for shorter ones."
         )
-    spread = jnp.sqrt(jnp.mean(_squares(strobes - jnp.mean(strobes, axis=0)), axis=0))
-    size = jnp.sqrt(jnp.mean(_squares(strobes), axis=0))
+    spread = jnp.sqrt(jnp.mean(_squares(section - jnp.mean(section, axis=0)), axis=0))
+    size = jnp.sqrt(jnp.mean(_squares(section), axis=0))
     place = jnp.arange(count)
     newest = count - 1
 
@@ -53,8 +53,8 @@ def period_number(
         ahead = jnp.minimum(place + n, newest - (newest - place) % n)  # itself near the end
         latest = newest - (newest - place) % n
         away = jnp.maximum(
-            jnp.max(_squares(jnp.take(strobes, ahead, axis=0) - strobes), axis=0),
-            jnp.max(_squares(jnp.take(strobes, latest, axis=0) - strobes), axis=0),
+            jnp.max(_squares(jnp.take(section, ahead, axis=0) - section), axis=0),
+            jnp.max(_squares(jnp.take(section, latest, axis=0) - section), axis=0),
         )
         scale = jnp.where(n == 1, size, spread)
         away = jnp.sqrt(away)

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from vibrojax._tools.checks import check_count, check_range
 from vibrojax.regime.kinds import regime_of
 from vibrojax.regime.observing import Sampling, sample_motions
-from vibrojax.regime.strobing import Numbers, StrobePlan, Strober, Tell
+from vibrojax.regime.poincare_map import Numbers, PoincareMap, Report, SectionPlan
 from vibrojax.results.status import Status
 from vibrojax.stepping.resonance import is_unbounded
 
@@ -28,7 +28,7 @@ SWEPT = (
 class RegimePlan(NamedTuple):
     """What is done with every lane."""
 
-    strobe: StrobePlan
+    section: SectionPlan
     sampling: Sampling
 
 
@@ -62,39 +62,39 @@ def regime_plan(
         if not isinstance(value, bool):
             raise ValueError(f"{name} must be True or False, got {value!r}.")
     return RegimePlan(
-        StrobePlan(transient, periods, max_period, tolerance, lyapunov),
+        SectionPlan(transient, periods, max_period, tolerance, lyapunov),
         Sampling(periods, samples_per_period, float(barrier), spectrum),
     )
 
 
 def regime_points(
-    strober: Strober,
+    poincare: PoincareMap,
     rig: Int[np.ndarray, " lanes"],
     angular_frequency: Numbers,
     state: Float[np.ndarray, "lanes states"],
     plan: RegimePlan,
-    tell: Tell = lambda done: None,
+    report: Report = lambda done: None,
 ) -> tuple[dict[str, np.ndarray], Float[np.ndarray, "lanes states"]]:
     """Bring all lanes to what lasts and return its numbers, lanes leading, and the last states.
 
     The state of a lane that was lost is rest.
     """
-    seen = strober.observe(rig, angular_frequency, state, plan.strobe, tell)
-    grows = is_unbounded(np.asarray(strober.prepared.resonances)[:, rig], angular_frequency, np)
+    seen = poincare.observe(rig, angular_frequency, state, plan.section, report)
+    grows = is_unbounded(np.asarray(poincare.prepared.resonances)[:, rig], angular_frequency, np)
     end = np.where(grows[:, None], np.nan, seen.end)
     seen = seen._replace(alive=seen.alive & ~grows, period=np.where(grows, 0, seen.period), end=end)
-    window = plan.strobe.periods * 2 * np.pi / angular_frequency
+    window = plan.section.periods * 2 * np.pi / angular_frequency
     kind = regime_of(
         seen.period,
         seen.lyapunov_exponent * window,
         seen.lyapunov_standard_error * window,
         seen.return_error,
-        plan.strobe.tolerance,
+        plan.section.tolerance,
         seen.alive,
     )
-    measured = strober.measure(rig, angular_frequency, seen.end, seen.period)
+    measured = poincare.measure(rig, angular_frequency, seen.end, seen.period)
     start = np.where(seen.alive[:, None], seen.start, np.nan)
-    sampled = sample_motions(strober, rig, angular_frequency, start, plan.sampling)
+    sampled = sample_motions(poincare, rig, angular_frequency, start, plan.sampling)
     status = np.where(seen.period > 0, Status.settled.value, Status.aperiodic.value)
     status = np.where(seen.alive, status, Status.diverged.value)
     status = np.where(grows, Status.unbounded.value, status)
@@ -112,13 +112,13 @@ def regime_points(
 
 
 def carried_points(
-    strober: Strober,
+    poincare: PoincareMap,
     rig: Int[np.ndarray, "lanes values"],
     angular_frequency: Float[np.ndarray, "lanes values"],
     backward: np.ndarray,
     state: Float[np.ndarray, "lanes states"],
     plan: RegimePlan,
-    tell: Tell = lambda done: None,
+    report: Report = lambda done: None,
 ) -> dict[str, np.ndarray]:
     """Carry every lane along its values, upwards or `backward`, each from where the last ended.
 
@@ -132,7 +132,7 @@ def carried_points(
     for visit in range(count):
         at = np.where(backward, count - 1 - visit, visit)
         found, state = regime_points(
-            strober, rig[every, at], angular_frequency[every, at], state, plan, tell
+            poincare, rig[every, at], angular_frequency[every, at], state, plan, report
         )
         parts.append(found | {"state": state})
         columns.append(at)

@@ -18,9 +18,9 @@ from vibrojax.ensemble.frequencies import check_drive, frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.model.states import as_state
 from vibrojax.model.systems import AbstractSystem, as_arrays
+from vibrojax.regime.poincare_map import PoincareMap
 from vibrojax.regime.regime_points import RegimePlan, regime_plan, regime_points
 from vibrojax.regime.regimes_result import Regimes
-from vibrojax.regime.strobing import Strober
 from vibrojax.stepping.choice import choose_method
 from vibrojax.stepping.method import AbstractMethod, check_settings
 from vibrojax.sweep.swept_lanes import rigs_of
@@ -51,7 +51,7 @@ def regimes(
     progress: bool | None = None,
     **axes: Any,
 ) -> Regimes:
-    """Find which kind of motion a system comes to: periodic (of what order), chaotic, ...
+    """Find which kind of motion a system settles to: periodic (of what order), chaotic, ...
 
     Every combination of the axes, the frequencies and the starts is a lane of its own. It marches
     the transient, then its states at the drive periods say of what period it is, a tangent
@@ -103,13 +103,13 @@ def regimes(
     lanes = lanes_of(system, axes, zipped)
     chosen = regime_method(lanes.sample, axis, method, step_tolerance, steps_per_period)
     states = start_states(lanes.sample, starts, start_size, seed)
-    strober = Strober.of(chosen, rigs_of(lanes.systems))
+    poincare = PoincareMap.of(chosen, rigs_of(lanes.systems))
     rigs = int(np.prod(lanes.shape))
     shape = (*lanes.shape, *((len(states),) if starts is not None else ()), len(grid))
     rig, start, at = np.indices((rigs, len(states), len(grid))).reshape(3, -1)
-    angular = grid[at] * frequency_unit(strober, axis)[rig]
+    angular = grid[at] * frequency_unit(poincare, axis)[rig]
     with progress_bar("regimes", len(rig), progress) as bar:
-        found, _ = regime_points(strober, rig, angular, states[start], plan, bar.update)
+        found, _ = regime_points(poincare, rig, angular, states[start], plan, bar.update)
     variables = {n: v.reshape(*shape, *v.shape[1:]) for n, v in found.items()}
     own = {"start": np.arange(len(states))} if starts is not None else {}
     _, ratio_units = lanes.sample.drive.reference
@@ -153,9 +153,9 @@ def check_steps(step_tolerance: float, steps_per_period: int | None) -> None:
     check_settings(step_tolerance, steps_per_period)
 
 
-def frequency_unit(strober: Strober, axis: str) -> Float[Array, " rigs"]:
+def frequency_unit(poincare: PoincareMap, axis: str) -> Float[Array, " rigs"]:
     """Return the angular frequency, rad/s, that stands for 1 on the frequency axis, by rig."""
-    first = np.asarray(strober.prepared.first_frequency)
+    first = np.asarray(poincare.prepared.first_frequency)
     return first if axis == "frequency_ratio" else np.full(first.shape, 2 * np.pi)
 
 
@@ -239,15 +239,15 @@ def attributes_of(
     title: str, lanes: Lanes, method: AbstractMethod, plan: RegimePlan
 ) -> dict[str, str]:
     """Return what was run, in words."""
-    strobe = plan.strobe
+    section = plan.section
     return {
         "title": title,
         "rig": lanes.description,
         "method": recipe(method),
-        "transient": f"{strobe.transient} drive periods",
-        "periods": f"{strobe.periods} drive periods",
-        "max_period": f"{strobe.max_period} drive periods",
-        "tolerance": f"{strobe.tolerance:g} (relative return)",
+        "transient": f"{section.transient} drive periods",
+        "periods": f"{section.periods} drive periods",
+        "max_period": f"{section.max_period} drive periods",
+        "tolerance": f"{section.tolerance:g} (relative return)",
         "vibrojax_version": version("vibrojax"),
         "jax_version": version("jax"),
     }

@@ -1,4 +1,4 @@
-"""The result of a study of regimes: which kind of motion every lane comes to."""
+"""The result of a study of regimes: the kind of motion of every lane."""
 
 import os
 from typing import TYPE_CHECKING, Any
@@ -97,7 +97,7 @@ class Regimes(AbstractRegimeTable):
     def poincare(self, **selection: Any) -> "Figure":
         """Draw the Poincaré section of a lane: displacement and velocity at every drive period.
 
-        `selection` picks the lane; one axis may be left out, and its values are told apart by
+        `selection` picks the lane; one axis may be left out, and its values are shown by
         colour. Raises `ValueError` for an unknown axis, or where more are left.
         """
         view = view_of(self.to_xarray(), self.coordinates, selection, "poincare")

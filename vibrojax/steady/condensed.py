@@ -27,7 +27,7 @@ from vibrojax.stepping.contact_phases import _eigen
 
 LEAST_DYNAMIC = 1e-6
 """Least dynamic stiffness of a mode at resonance, relative to its static one: below it a balance
-loses the digits that tell the motion from the response without stops. Exact motions need none."""
+loses the digits in which the motion differs from that without stops. Exact motions need none."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 

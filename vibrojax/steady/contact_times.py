@@ -7,19 +7,23 @@ corrected. Whether the motion keeps to its sequence (a virtual orbit does not) i
 is read.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
 
-from vibrojax._tools.trigonometry import cosine
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
-from vibrojax.stepping.resonance import driven_growth
+from vibrojax.stepping.forcing import steady_readout
+from vibrojax.stepping.phase_motion import driven_blocks, free_blocks, stop_push
 
 lax = jax.lax
+
+Phase = Int[ArrayLike, ""]
+Angle = Float[ArrayLike, ""]
 
 MOST_EVENTS = 16
 """Touches and departures in a motion: room for eight contacts."""
@@ -71,77 +75,64 @@ def tables_of(
     zero = jnp.zeros_like(angular_frequency)
     amplitude = drive.complex_amplitude(angular_frequency, zero)
     steady = forced_blocks(phases, amplitude, angular_frequency)
-    rows = jnp.einsum("prs,ps->pr", phases.readout, steady)
-    # The steady response is no free motion of a block: its acceleration is -w^2 its depth.
-    s = phases.num_stops
-    acceleration = -(angular_frequency**2) * rows[:, :s]
-    driven = None
-    if resonant:
-        driven = resonant_blocks(phases, amplitude, angular_frequency)
-        pushed = jnp.einsum("prs,ps->pr", phases.readout[:, s : 2 * s], driven)
-        acceleration = acceleration + pushed
-    rows = rows.at[:, 2 * s : 3 * s].set(acceleration)
+    driven = resonant_blocks(phases, amplitude, angular_frequency) if resonant else None
+    rows = steady_readout(phases, steady, driven, angular_frequency)
     return Tables(phases, steady, driven, rows, angular_frequency)
 
 
-def forced(tables: Tables, phase, angle):
+def forced(tables: Tables, phase: Phase, angle: Angle) -> Float[Array, " states"]:
     """Block coordinates of rest and the steady response at a drive phase."""
     steady = tables.steady[phase]
     wave = jnp.sin(angle) * steady.real + jnp.cos(angle) * steady.imag
     return wave + tables.phases.rest[phase]
 
 
-def _turned(tables: Tables, phase, blocks, angle):
-    """Advance block coordinates over a drive angle."""
-    phases, n = tables.phases, tables.phases.num_blocks
-    time = angle / tables.angular_frequency
-    growth = jnp.exp(phases.exponent[phase] * time)
-    turn = phases.rate[phase] * time
-    c, s = cosine(turn), cosine(turn - np.pi / 2)
-    if blocks.ndim == 2:  # a matrix of columns to advance
-        growth, c, s = growth[..., None], c[:, None], s[:, None]
-    top, bottom = blocks[:n], blocks[n:]
-    # Real pairs have rate 0: cosine 1, sine 0, each row with its own exponent.
-    return jnp.concatenate([growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)])
-
-
-def moved_on(tables: Tables, phase, blocks, begun, angle):
+def moved_on(
+    tables: Tables, phase: Phase, blocks: Float[Array, " states"], begun: Angle, angle: Angle
+) -> Float[Array, " states"]:
     """Advance block coordinates of a motion over a drive angle from the phase `begun`."""
     phases, w = tables.phases, tables.angular_frequency
-    moved = _turned(tables, phase, blocks, angle)
-    if tables.driven is None:
-        return moved
-    decay, rate, driven = phases.exponent[phase, 0], phases.rate[phase], tables.driven[phase]
-    return moved + driven_growth(decay, rate, driven, begun, w, angle / w)
+    driven = None if tables.driven is None else tables.driven[phase]
+    decay, rate = phases.exponent[phase], phases.rate[phase]
+    return driven_blocks(decay, rate, blocks, driven, begun, w, angle / w)
 
 
-def _lateness(tables: Tables, phase, stop, moved, angle, with_slope: bool = False):
+def _lateness(
+    tables: Tables,
+    phase: Phase,
+    stop: Int[Array, ""],
+    moved: Float[Array, " states"],
+    angle: Angle,
+    with_slope: bool = False,
+) -> Float[Array, ""]:
     """First-order time (rad) by which the stop's change of contact comes later than the angle."""
     phases, stops = tables.phases, tables.phases.num_stops
     sine, cosine_ = jnp.sin(angle), jnp.cos(angle)
 
-    def read(row):
+    def read(row: Int[Array, ""]) -> Float[Array, ""]:
         steady = tables.rows[phase, row]
         forced = sine * steady.real + cosine_ * steady.imag
         return phases.readout[phase, row] @ moved + phases.readout_rest[phase, row] + forced
 
     value, slope = read(stop), read(stops + stop)
     if not all(phases.can_pull):
-        stiffness, damping = phases.stiffness[stop], phases.damping[stop]
-        unit = stiffness + damping * tables.angular_frequency
-        safe = jnp.where(unit > 0, unit, 1.0)
-        touching = (phase >> stop) & 1 == 1
-        pushes = touching & ~jnp.asarray(phases.can_pull)[stop] & (unit > 0)
-        force = (stiffness * value + damping * slope) / safe
-        force_slope = (stiffness * slope + damping * read(2 * stops + stop)) / safe
-        value, slope = jnp.where(pushes, force, value), jnp.where(pushes, force_slope, slope)
+        leaves_by_depth = jnp.asarray(phases.can_pull)[stop] | ((phase >> stop) & 1 == 0)
+        value, slope = stop_push(
+            phases.stiffness[stop],
+            phases.damping[stop],
+            leaves_by_depth,
+            tables.angular_frequency,
+            value,
+            slope,
+            read(2 * stops + stop),
+        )
     slope = slope / tables.angular_frequency
     if not with_slope:
         slope = lax.stop_gradient(slope)
     return -value / jnp.where(slope == 0, 1.0, slope)
 
 
-class Course(NamedTuple):
+class PiecewiseMotion(NamedTuple):
     """A motion followed through its events; one column per phase passed."""
 
     end: Float[Array, " states"]
@@ -165,7 +156,7 @@ def follow_events(
     *,
     with_jacobian: bool = False,
     twice: bool = False,
-) -> Course:
+) -> PiecewiseMotion:
     """Follow a motion from the section through its events, over `period` drive periods.
 
     Every event is moved to where its stop changes contact, to first order: at a motion whose times
@@ -192,7 +183,7 @@ def follow_events(
         jnp.eye(orbit.state.size) if with_jacobian else None,
     )
 
-    def segment(j, carry):
+    def segment(j: Int[Array, ""], carry: tuple[Any, ...]) -> tuple[Any, ...]:
         state, phase, begun, times, phases_passed, blocks_passed, starts, ends, push = carry
         final = j >= room
         k = jnp.minimum(j, room - 1)
@@ -231,13 +222,22 @@ def follow_events(
         0, steps, segment, start
     )
     passed = jnp.where(jnp.arange(size) < steps, passed, phase)
-    return Course(end, times, passed, blocks, starts, ends, push)
+    return PiecewiseMotion(end, times, passed, blocks, starts, ends, push)
 
 
-def _push(tables: Tables, phase, stop, used, matrix, angle):
+def _push(
+    tables: Tables,
+    phase: Phase,
+    stop: Int[Array, ""],
+    used: Bool[Array, ""],
+    matrix: Float[Array, "states states"],
+    angle: Angle,
+) -> Float[Array, "states states"]:
     """Carry the Jacobian through a phase and the change of contact at its end."""
     phases, n = tables.phases, tables.phases.num_blocks
-    moved = _turned(tables, phase, phases.from_state[phase] @ matrix, lax.stop_gradient(angle))
+    time = lax.stop_gradient(angle) / tables.angular_frequency
+    decay, rate = phases.exponent[phase][..., None], phases.rate[phase][:, None]
+    moved = free_blocks(decay, rate, phases.from_state[phase] @ matrix, time)
     matrix = phases.to_state[phase] @ moved
     if not phases.num_stops:
         return matrix
@@ -262,17 +262,19 @@ class Solved(NamedTuple):
     """Of the period map, in units of energy: the monodromy matrix."""
     slope: Float[Array, " states"]
     """Derivative of the period map in the parameter."""
-    course: Course
+    motion: PiecewiseMotion
 
 
-def null_vector(matrix: Float[Array, "rows rows"], slope: Float[Array, " rows"]) -> Array:
+def null_vector(
+    matrix: Float[Array, "rows rows"], slope: Float[Array, " rows"]
+) -> Float[Array, " unknowns"]:
     """Unit vector that the matrix, with the slope as one more column, maps to zero."""
     whole = jnp.concatenate([matrix, slope[:, None]], axis=1)
     return jnp.linalg.qr(whole.T, mode="complete")[0][:, -1]
 
 
 def solve_orbit(
-    tables_at,
+    tables_at: Callable[[Float[Array, ""]], Tables],
     events: Events,
     orbit: Orbit,
     parameter: Float[Array, ""],
@@ -295,20 +297,23 @@ def solve_orbit(
     energy = jnp.sqrt(jnp.sum(guess**2))
     size = lax.stop_gradient(jnp.where(energy > 0, energy, 1.0))
 
-    def image(p, x, times):
+    def image(
+        p: Float[Array, ""], x: Float[Array, " states"], times: Float[Array, " events"]
+    ) -> tuple[Float[Array, " states"], tuple[PiecewiseMotion, Float[Array, "states states"]]]:
         tables = tables_at(p)
         orbit = Orbit(x * (size / tables.phases.weight), times)
-        course = follow_events(tables, events, orbit, period, count, with_jacobian=True)
+        motion = follow_events(tables, events, orbit, period, count, with_jacobian=True)
+        assert motion.jacobian is not None
         unit = lax.stop_gradient(tables.phases.weight)
-        matrix = unit[:, None] * course.jacobian / unit
-        return course.end * (tables.phases.weight / size), (course, matrix)
+        matrix = unit[:, None] * motion.jacobian / unit
+        return motion.end * (tables.phases.weight / size), (motion, matrix)
 
-    def newton(carry, last):
+    def newton(carry: tuple[Any, ...], last: Bool[Array, ""]) -> tuple[tuple[Any, ...], None]:
         x, p, times, normal, _ = carry
-        end, slope, (course, matrix) = jax.jvp(
+        end, slope, (motion, matrix) = jax.jvp(
             lambda p: image(p, x, times), (p,), (jnp.ones_like(p),), has_aux=True
         )
-        moved = course.times
+        moved = motion.times
         shifted = matrix - eye[:n, :n]
         first = jnp.all(normal == 0)
         across = jnp.where(hold, eye[-1], null_vector(shifted, slope))
@@ -328,11 +333,11 @@ def solve_orbit(
             jnp.where(stay, p, p + change[-1]),
             jnp.where(stay, times, moved),
             normal,
-            (error, matrix, slope, course._replace(jacobian=None)),
+            (error, matrix, slope, motion._replace(jacobian=None)),
         ), None
 
     room = orbit.times.size + 1
-    nothing = Course(
+    nothing = PiecewiseMotion(
         end=orbit.state,
         times=orbit.times,
         phase=jnp.zeros(room, jnp.int32),
@@ -344,6 +349,6 @@ def solve_orbit(
     empty = (jnp.asarray(jnp.inf), jnp.zeros((n, n)), jnp.zeros(n), nothing)
     carry = (guess / size, parameter, orbit.times, jnp.zeros(n + 1), empty)
     rounds = jnp.arange(iterations + 1) == iterations
-    (x, p, times, _, (error, matrix, slope, course)), _ = lax.scan(newton, carry, rounds)
+    (x, p, times, _, (error, matrix, slope, motion)), _ = lax.scan(newton, carry, rounds)
     state = x * size / tables_at(p).phases.weight
-    return Solved(Orbit(state, times), p, error, matrix, slope, course)
+    return Solved(Orbit(state, times), p, error, matrix, slope, motion)

@@ -7,13 +7,13 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.types import AnyArray
 from vibrojax.steady.contact_times import (
-    Course,
     Events,
     Orbit,
+    PiecewiseMotion,
     null_vector,
     solve_orbit,
 )
-from vibrojax.steady.orbit_reading import Reading, read_course
+from vibrojax.steady.orbit_reading import Reading, read_motion
 
 ACCURATE = 1e-9
 """Largest relative residual of an exact motion."""
@@ -56,7 +56,7 @@ def exact_point(
     *,
     hold: bool | Bool[Array, ""],
     iterations: int = 4,
-) -> tuple[ExactPoint, Course]:
+) -> tuple[ExactPoint, PiecewiseMotion]:
     """Turn a guess into an exact motion.
 
     `hold` keeps the parameter; else the motion moves across the branch, so that folds are no
@@ -67,8 +67,8 @@ def exact_point(
         tables_at, events, guess.orbit, parameter, period, hold=hold, iterations=iterations
     )
     tables = tables_at(solved.parameter)
-    course = solved.course
-    reading = read_course(tables, events, course, period)
+    motion = solved.motion
+    reading = read_motion(tables, events, motion, period)
     n = solved.orbit.state.size
     size = jnp.maximum(
         jnp.max(jnp.abs(tables.phases.gap), initial=0.0),
@@ -96,4 +96,4 @@ def exact_point(
         multipliers=jnp.linalg.eigvals(matrix),
         reading=reading,
         valid=valid,
-    ), course
+    ), motion

@@ -5,14 +5,17 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax._tools.trigonometry import cosine
-from vibrojax.steady.contact_times import Course, Events, Tables, forced, moved_on
-from vibrojax.stepping.elementary import cubic_maximum
-from vibrojax.stepping.resonance import driven_growth
+from vibrojax.steady.contact_times import Events, PiecewiseMotion, Tables, forced, moved_on
+from vibrojax.stepping.cubic import Cubic, cubic_between, cubic_maximum
+from vibrojax.stepping.phase_motion import driven_blocks, stop_push
 
 lax = jax.lax
+
+Rows = Float[Array, "rows places"]
+Segments = Int[Array, " places"]
 
 GRID = 128
 """Places per drive period at which a motion is looked at before its extremes are refined."""
@@ -44,27 +47,24 @@ class Reading(NamedTuple):
     """Their change per interval."""
 
 
-def look(tables: Tables, course: Course, segment, angle: Float[Array, " places"]):
+def look(
+    tables: Tables, motion: PiecewiseMotion, segment: Segments, angle: Float[Array, " places"]
+) -> Rows:
     """Rows (as of `ContactPhases.readout`) at some drive phases, each of a given segment."""
-    phases, n = tables.phases, tables.phases.num_blocks
-    phase = course.phase[segment]
-    time = (angle - course.start[segment]) / tables.angular_frequency
-    exponent = jnp.moveaxis(phases.exponent, 0, -1)[:, :, phase]
-    growth = jnp.exp(exponent * time)
-    rate = phases.rate.T[:, phase]
-    c, s = cosine(rate * time), cosine(rate * time - np.pi / 2)
-    blocks = course.blocks[:, segment]
-    top, bottom = blocks[:n], blocks[n:]
-    moved = jnp.concatenate(
-        [growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)]
+    phases, phase = tables.phases, motion.phase[segment]
+    time = (angle - motion.start[segment]) / tables.angular_frequency
+    moved = driven_blocks(
+        jnp.moveaxis(phases.exponent, 0, -1)[:, :, phase],
+        phases.rate.T[:, phase],
+        motion.blocks[:, segment],
+        None if tables.driven is None else tables.driven.T[:, phase],
+        motion.start[segment],
+        tables.angular_frequency,
+        time,
     )
-    if tables.driven is not None:
-        driven, begun = tables.driven.T[:, phase], course.start[segment]
-        w = tables.angular_frequency
-        moved = moved + driven_growth(exponent[0], rate, driven, begun, w, time)
     sine, cosine_ = cosine(angle - np.pi / 2), cosine(angle)
 
-    def rows_of(p):
+    def rows_of(p: int) -> Rows:
         value = phases.readout[p] @ moved + phases.readout_rest[p][:, None]
         wave = tables.rows[p]
         return value + wave.real[:, None] * sine + wave.imag[:, None] * cosine_
@@ -75,17 +75,19 @@ def look(tables: Tables, course: Course, segment, angle: Float[Array, " places"]
     return rows
 
 
-def _segment_of(course: Course, angle):
-    found = jnp.searchsorted(course.stop, angle, side="left")
-    return jnp.minimum(found, course.stop.size - 1)
+def _segment_of(
+    motion: PiecewiseMotion, angle: Float[ArrayLike, "*places"]
+) -> Int[Array, "*places"]:
+    found = jnp.searchsorted(motion.stop, angle, side="left")
+    return jnp.minimum(found, motion.stop.size - 1)
 
 
-def read_course(tables: Tables, events: Events, course: Course, period: int) -> Reading:
+def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period: int) -> Reading:
     """Read amplitudes, forces and contact off a motion, and check that it keeps to its events."""
     phases, stops = tables.phases, tables.phases.num_stops
     begin, whole = events.section, 2 * np.pi * period
-    length = jnp.maximum(course.stop - course.start, 0.0)
-    held = ((course.phase[:, None] >> np.arange(stops)) & 1) == 1
+    length = jnp.maximum(motion.stop - motion.start, 0.0)
+    held = ((motion.phase[:, None] >> np.arange(stops)) & 1) == 1
     in_contact = jnp.any(held, axis=1)
 
     # Everywhere, starting from drive phase 0; then more closely in contact.
@@ -95,10 +97,10 @@ def read_course(tables: Tables, events: Events, course: Course, period: int) -> 
     touched = jnp.cumsum(jnp.where(in_contact, length, 0.0))
     share = (np.arange(IN_CONTACT) + 0.5) / IN_CONTACT * touched[-1]
     place = jnp.minimum(jnp.searchsorted(touched, share), touched.size - 1)
-    inside = course.stop[place] - (touched[place] - share)
+    inside = motion.stop[place] - (touched[place] - share)
     angles = jnp.concatenate([angle, inside])
-    segment = jnp.concatenate([_segment_of(course, angle), place])
-    rows = look(tables, course, segment, angles)
+    segment = jnp.concatenate([_segment_of(motion, angle), place])
+    rows = look(tables, motion, segment, angles)
     response = rows[3 * stops, :grid]
 
     # The extremes again, finely.
@@ -112,16 +114,21 @@ def read_course(tables: Tables, events: Events, course: Course, period: int) -> 
     near = jnp.stack(centres)[:, None] + offsets
     near = begin + jnp.mod(near - begin, whole)
     # With them the moments of touch, where the force of a stop with damping is largest.
-    places = course.start.size
-    fine_segment = jnp.concatenate([_segment_of(course, near.reshape(-1)), jnp.arange(places)])
-    fine = look(tables, course, fine_segment, jnp.concatenate([near.reshape(-1), course.start]))
+    places = motion.start.size
+    fine_segment = jnp.concatenate([_segment_of(motion, near.reshape(-1)), jnp.arange(places)])
+    fine = look(tables, motion, fine_segment, jnp.concatenate([near.reshape(-1), motion.start]))
     fine, at_start = fine[:, :-places], fine[:, -places:]
     fine_segment = fine_segment[:-places]
     held_there = held[fine_segment].T
     fine_force = _force(tables, fine, held_there)
     step = 2 * width / (FINE - 1) / tables.angular_frequency
 
-    def top(values, slopes, row, mask=None):
+    def top(
+        values: Float[Array, " all_places"],
+        slopes: Float[Array, " all_places"],
+        row: int,
+        mask: Bool[Array, " all_places"] | None = None,
+    ) -> Float[Array, ""]:
         y, v = (a.reshape(len(centres), FINE)[row] for a in (values, slopes))
         best = cubic_maximum(y[:-1], v[:-1] * step, y[1:], v[1:] * step)
         if mask is not None:
@@ -145,9 +152,9 @@ def read_course(tables: Tables, events: Events, course: Course, period: int) -> 
         long_enough = held & (length > 0)[:, None]
         peak = jnp.maximum(peak, jnp.max(_force(tables, at_start, long_enough.T)))
     wave = (response * jnp.sin(angle), response * jnp.cos(angle))
-    entered = (events.stop >= 0) & (course.phase[1:] > course.phase[:-1])
+    entered = (events.stop >= 0) & (motion.phase[1:] > motion.phase[:-1])
     origin = jnp.where(begin > 0, whole, 0.0)
-    at = _segment_of(course, origin)
+    at = _segment_of(motion, origin)
     return Reading(
         highest=highest,
         lowest=lowest,
@@ -157,46 +164,63 @@ def read_course(tables: Tables, events: Events, course: Course, period: int) -> 
         contact_fraction=touched[-1] / whole,
         contacts=jnp.sum(entered, dtype=jnp.int32),
         breach=breach,
-        ordered=jnp.all(course.stop - course.start >= 0),
-        initial_state=state_in(tables, course, at, origin),
+        ordered=jnp.all(motion.stop - motion.start >= 0),
+        initial_state=state_in(tables, motion, at, origin),
         depth=rows[:stops, :grid],
         change=rows[stops : 2 * stops, :grid] * (width / tables.angular_frequency),
     )
 
 
-def _force(tables: Tables, rows, held):
+def _force(
+    tables: Tables, rows: Rows, held: Bool[Array, "stops places"]
+) -> Float[Array, "stops places"]:
     phases, stops = tables.phases, tables.phases.num_stops
     value = phases.stiffness[:, None] * rows[:stops]
     value = value + phases.damping[:, None] * rows[stops : 2 * stops]
     return jnp.where(held, value, 0.0)
 
 
-def state_in(tables: Tables, course: Course, segment, angle):
+def state_in(
+    tables: Tables,
+    motion: PiecewiseMotion,
+    segment: Int[ArrayLike, ""],
+    angle: Float[ArrayLike, ""],
+) -> Float[Array, " states"]:
     """State of a motion at a drive phase (rad) of a given segment."""
-    phase, begun = course.phase[segment], course.start[segment]
-    moved = moved_on(tables, phase, course.blocks[:, segment], begun, angle - begun)
+    phase, begun = motion.phase[segment], motion.start[segment]
+    moved = moved_on(tables, phase, motion.blocks[:, segment], begun, angle - begun)
     return tables.phases.to_state[phase] @ (moved + forced(tables, phase, angle))
 
 
-def _breach(tables: Tables, stop: int, rows, touching):
+def _breach(
+    tables: Tables, stop: int, rows: Rows, touching: Bool[Array, " places"]
+) -> Float[Array, " places"]:
     """How far a place breaks its phase, m: positive where it should be in the other one."""
     phases, stops = tables.phases, tables.phases.num_stops
     depth = rows[stop]
-    if phases.can_pull[stop]:
-        return jnp.where(touching, -depth, depth)
-    k, c = phases.stiffness[stop], phases.damping[stop]
-    unit = k + c * tables.angular_frequency
-    push = (k * depth + c * rows[stops + stop]) / jnp.where(unit > 0, unit, 1.0)
+    push, _ = stop_push(
+        phases.stiffness[stop],
+        phases.damping[stop],
+        np.asarray(phases.can_pull[stop]),
+        tables.angular_frequency,
+        depth,
+        rows[stops + stop],
+        rows[2 * stops + stop],
+    )
     inside = jnp.minimum(depth, push)
     return jnp.where(touching, -inside, inside)
 
 
 def state_at(
-    tables: Tables, course: Course, section: Float[Array, ""], begin: Float[Array, ""], period: int
+    tables: Tables,
+    motion: PiecewiseMotion,
+    section: Float[Array, ""],
+    begin: Float[Array, ""],
+    period: int,
 ) -> Float[Array, " states"]:
     """State of a motion at a drive phase (rad)."""
     angle = begin + jnp.mod(section - begin, 2 * np.pi * period)
-    return state_in(tables, course, _segment_of(course, angle), angle)
+    return state_in(tables, motion, _segment_of(motion, angle), angle)
 
 
 class Crossings(NamedTuple):
@@ -225,7 +249,8 @@ def find_crossings(
     crossed = (f0 > 0) != (f1 > 0)
     # A cubic with both ends on one side that reaches over to the other one crosses twice.
     sign = jnp.where(f0 > 0, -1.0, 1.0)
-    turning, height = _turning(sign * f0, sign * g0, sign * f1, sign * g1)
+    cubic = cubic_between(sign * f0, sign * g0, sign * f1, sign * g1)
+    turning, height = cubic.peak()
     hidden = ~crossed & (height > 0)
     first = (crossed | hidden).T
     both = jnp.stack([first, hidden.T], axis=-1).reshape(-1)  # samples, stops, first or second
@@ -238,7 +263,7 @@ def find_crossings(
     is_hidden = hidden[stop, time]
     low = jnp.where(second, turning[stop, time], 0.0)
     high = jnp.where(is_hidden & ~second, turning[stop, time], 1.0)
-    u = _crossing(f0[stop, time], g0[stop, time], f1[stop, time], g1[stop, time], low, high)
+    u = Cubic(*(c[stop, time] for c in cubic)).root(low, high)
     whole = 2 * np.pi * period
     angle = jnp.where(used, (time + u) * (whole / samples), jnp.inf)
     order = jnp.argsort(angle)
@@ -256,35 +281,3 @@ def find_crossings(
     touching = jnp.sum(jnp.where(depth[:, place] > 0, bits, 0), dtype=jnp.int32)
     events = Events(stop[again].astype(jnp.int32), touching, section)
     return Crossings(events, later[again], count)
-
-
-def _turning(f0, g0, f1, g1):
-    """Where in [0, 1] the cubic has a maximum inside, and its value (-inf without one)."""
-    curve, bend = 3 * (f1 - f0) - 2 * g0 - g1, 2 * (f0 - f1) + g0 + g1
-    square = curve**2 - 3 * bend * g0
-    below = jnp.sqrt(jnp.maximum(square, 0.0)) - curve
-    u = g0 / jnp.where(below > 0, below, 1.0)
-    inside = (square > 0) & (below > 0) & (u > 0) & (u < 1)
-    value = f0 + u * (g0 + u * (curve + u * bend))
-    return jnp.where(inside, u, 0.5), jnp.where(inside, value, -jnp.inf)
-
-
-def _crossing(f0, g0, f1, g1, low, high):
-    """Zero of the cubic between two places in [0, 1], by safeguarded Newton steps."""
-    curve, bend = 3 * (f1 - f0) - 2 * g0 - g1, 2 * (f0 - f1) + g0 + g1
-
-    def value(u):
-        return f0 + u * (g0 + u * (curve + u * bend))
-
-    start = value(low)
-
-    def closer(_, carry):
-        u, low, high = carry
-        at = value(u)
-        same = (at > 0) == (start > 0)
-        low, high = jnp.where(same, u, low), jnp.where(same, high, u)
-        slope = g0 + u * (2 * curve + 3 * u * bend)
-        step = u - at / jnp.where(slope == 0, 1.0, slope)
-        return jnp.where((step > low) & (step < high), step, (low + high) / 2), low, high
-
-    return lax.fori_loop(0, 8, closer, ((low + high) / 2, low, high))[0]

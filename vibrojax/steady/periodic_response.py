@@ -20,7 +20,7 @@ from vibrojax.steady.contact_times import MOST_EVENTS, Events, Orbit, follow_eve
 from vibrojax.steady.exact_point import Guess, exact_point
 from vibrojax.steady.implicit import frozen
 from vibrojax.steady.methods import HarmonicBalance, Shooting, check_balance
-from vibrojax.steady.orbit_reading import find_crossings, read_course, state_at
+from vibrojax.steady.orbit_reading import find_crossings, read_motion, state_at
 from vibrojax.steady.paths import FrequencyPath, frequency_path
 from vibrojax.steady.periodic_result import PeriodicResponse, reading_of
 from vibrojax.steady.shooting import shoot
@@ -132,14 +132,14 @@ def _exactly(system, value, is_ratio, period, state) -> PeriodicResponse:
     # differentiated, has the value of the solution and its implicit derivative.
     tables = path.tables(value)
     start = found.orbit.state
-    course = follow_events(tables, found.events, found.orbit, period)
-    gap = jnp.where(found.valid, course.end - start, 0.0)
+    motion = follow_events(tables, found.events, found.orbit, period)
+    gap = jnp.where(found.valid, motion.end - start, 0.0)
     start = start + jnp.linalg.solve(jnp.eye(start.size) - found.matrix, gap)
     orbit = Orbit(start, found.orbit.times)
-    course = follow_events(tables, found.events, orbit, period)
-    reading = read_course(tables, found.events, course, period)
+    motion = follow_events(tables, found.events, orbit, period)
+    reading = read_motion(tables, found.events, motion, period)
     phases = 2 * np.pi * jnp.arange(period)
-    strobes = jax.vmap(lambda phase: state_at(tables, course, phase, found.events.section, period))(
+    strobes = jax.vmap(lambda phase: state_at(tables, motion, phase, found.events.section, period))(
         phases
     )
     return reading_of(
@@ -195,7 +195,7 @@ def _solved_exactly(path: FrequencyPath, value, period: int, state) -> _Solution
 
     def attempt(carry, _):
         guess, best = carry
-        point, course = exact_point(path.tables, guess, value, period, hold=True, iterations=8)
+        point, motion = exact_point(path.tables, guess, value, period, hold=True, iterations=8)
         matrix = point.monodromy * weight / weight[:, None]
         solution = _Solution(
             guess.events, point.orbit, matrix, point.multipliers, point.residual, point.valid
@@ -206,7 +206,7 @@ def _solved_exactly(path: FrequencyPath, value, period: int, state) -> _Solution
         reading = point.reading
         again = find_crossings(reading.depth, reading.change, MOST_EVENTS, period)
         section = again.events.section
-        there = state_at(path.tables(value), course, section, guess.events.section, period)
+        there = state_at(path.tables(value), motion, section, guess.events.section, period)
         following = Guess(again.events, Orbit(there, again.times), again.number <= MOST_EVENTS)
         return (following, best), None
 
@@ -233,7 +233,7 @@ def _by_balance(system, value, is_ratio, period, state, samples, harmonics, exac
     depth, _, _ = sampled_motion(frozen(path), frozen(value), start, period, exact)
     spectrum, converged = solve_balance(place, still, depth, samples, period, harmonics)
     reading = read_balanced(place, spectrum, period)
-    # Next to an undamped resonance the samples do not tell the motion.
+    # Next to an undamped resonance the samples do not determine the motion.
     converged = converged & (reading.residual < MOST_RESIDUAL)
     return reading_of(
         system,

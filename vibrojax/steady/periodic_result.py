@@ -158,19 +158,19 @@ class PeriodicResponse(eqx.Module):
         """
         if np.ndim(self.status):
             raise ValueError("notes are of one response: pick one lane of the batch.")
-        told = []
+        parts = []
         sooner, distance = int(self.minimal_period), float(self.guess_distance)
         if 0 < sooner < self.period:
-            told.append(
+            parts.append(
                 f"It repeats after {sooner} drive period(s) already: it is no motion of period "
                 f"{self.period}."
             )
         if distance > ELSEWHERE:
-            told.append(
+            parts.append(
                 f"It lies {distance:.2g} of its size away from the guess: it may be another motion "
                 "than the one meant."
             )
-        return tuple(told)
+        return tuple(parts)
 
     @validated(traceable=True)
     def history(self, samples_per_period: int = 256) -> "History":
@@ -230,8 +230,8 @@ class PeriodicResponse(eqx.Module):
         if np.ndim(self.status):
             failed = int(np.sum(np.asarray(self.status) != 0))
             far = int(np.sum(np.asarray(self.guess_distance) > ELSEWHERE))
-            told = f"{failed} not found" + (f", {far} far from their guess" if far else "")
-            return f"PeriodicResponse(batch of {np.shape(self.status)}, {told})"
+            parts = f"{failed} not found" + (f", {far} far from their guess" if far else "")
+            return f"PeriodicResponse(batch of {np.shape(self.status)}, {parts})"
         try:
             values = [f"  {name:22s}{float(getattr(self, name)):.6g}" for name in NUMBERS]
         except TypeError:  # being traced

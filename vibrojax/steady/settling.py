@@ -33,7 +33,7 @@ APERIODIC_PERIODS = 24
 
 
 class Settled(NamedTuple):
-    """What a lane came to at one frequency."""
+    """Steady state of a lane at one frequency."""
 
     state: Float[Array, "states *lanes"]
     period: Int[Array, "*lanes"]

@@ -16,7 +16,7 @@ from vibrojax.steady.implicit import frozen, with_columns
 from vibrojax.steady.methods import Shooting
 from vibrojax.steady.periodic_result import PeriodicResponse, Sampled, reading_of
 from vibrojax.stepping.choice import choose_method
-from vibrojax.stepping.elementary import cubic_maximum
+from vibrojax.stepping.cubic import cubic_maximum
 
 SETTLING = 200
 """Drive periods marched from rest for a first guess."""

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from vibrojax.steady.contact_times import Course, Events, Tables, forced, moved_on
+from vibrojax.steady.contact_times import Events, PiecewiseMotion, Tables, forced, moved_on
 from vibrojax.steady.exact_point import BREACH
-from vibrojax.steady.orbit_reading import Reading, read_course
+from vibrojax.steady.orbit_reading import Reading, read_motion
 from vibrojax.steady.single_contact import (
     CONTACT,
     FLIGHT,
@@ -27,7 +27,7 @@ def with_gap(tables: Tables, gap: Float[Array, ""]) -> Tables:
     return tables._replace(phases=scaled)
 
 
-def course_of(tables: Tables, found: SingleContact) -> tuple[Tables, Events, Course]:
+def laid_out(tables: Tables, found: SingleContact) -> tuple[Tables, Events, PiecewiseMotion]:
     """Lay the motion out from the middle of its flight, with the tables at its own gap."""
     phases = tables.phases
     angle, _, _ = durations(tables, found.contact_fraction)
@@ -38,7 +38,7 @@ def course_of(tables: Tables, found: SingleContact) -> tuple[Tables, Events, Cou
     middle = moved_on(tables, FLIGHT, found.in_flight, departure, last - departure)
     none = jnp.zeros((), jnp.int32)
     events = Events(jnp.zeros(2, jnp.int32), none, section)
-    course = Course(
+    motion = PiecewiseMotion(
         end=phases.to_state[FLIGHT] @ (middle + forced(tables, FLIGHT, section)),
         times=jnp.stack([touch, departure]),
         phase=jnp.array([FLIGHT, CONTACT, FLIGHT], jnp.int32),
@@ -47,7 +47,7 @@ def course_of(tables: Tables, found: SingleContact) -> tuple[Tables, Events, Cou
         stop=jnp.stack([touch, departure, last]),
         jacobian=None,
     )
-    return with_gap(tables, found.gap_ratio), events, course
+    return with_gap(tables, found.gap_ratio), events, motion
 
 
 def read_single_contact(tables: Tables, found: SingleContact) -> tuple[Reading, Bool[Array, ""]]:
@@ -55,7 +55,7 @@ def read_single_contact(tables: Tables, found: SingleContact) -> tuple[Reading, 
 
     A virtual motion enters the stop again in its flight, or leaves it during its contact.
     """
-    own, events, course = course_of(tables, found)
-    reading = read_course(own, events, course, 1)
+    own, events, motion = laid_out(tables, found)
+    reading = read_motion(own, events, motion, 1)
     size = jnp.maximum(jnp.abs(found.gap_ratio), jnp.maximum(reading.highest, -reading.lowest))
     return reading, found.possible & (reading.breach <= BREACH * size)

@@ -25,7 +25,7 @@ def is_exact(system: AbstractSystem) -> bool:
     """Return whether flight and contact of the system can be propagated exactly."""
     shapes = _shapes(system)
     if shapes.linear is None or shapes.linear.stiffness_sign is not None:
-        # What falls away comes to rest on its stops, where landings come too thick.
+        # What falls away ends at rest on its stops, where landings come too thick.
         return False
     stops = _stops(system)
     return all(stop.is_linear for stop in stops) and len(stops) <= MAX_STOPS

@@ -1,25 +1,31 @@
 """The loop of exact contact: one attempt after another, each lane at its own pace."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from vibrojax._tools.trigonometry import cosine
 from vibrojax.stepping.contact_phases import ContactPhases, spread
-from vibrojax.stepping.elementary import (
-    apply_matrix,
-    computed_once,
-    cubic_maximum,
-    where_needed,
-)
+from vibrojax.stepping.cubic import cubic_between, cubic_maximum
+from vibrojax.stepping.elementary import apply_matrix, computed_once, where_needed
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.measures import Measures, Segment
+from vibrojax.stepping.phase_motion import contact_indicator, stop_push
 from vibrojax.stepping.resonance import driven_growth
 
 lax = jax.lax
+
+Number = Float[Array, "*#lanes"]
+Phase = Int[Array, "*#lanes"]
+Whether = Bool[Array, "*#lanes"]
+Blocks = Float[Array, "2 blocks *#lanes"]
+PerStop = Float[Array, "stops *#lanes"]
+Which = Bool[Array, "stops *#lanes"]
+Rows = Float[Array, "rows *#lanes"]
 
 _PLACES = (0.15, 0.325, 0.5, 0.675, 0.85)
 """Where along a step the cubics are asked how far from zero they stay."""
@@ -85,20 +91,20 @@ class ContactLoop:
         self.resonant = jnp.any(force.driven != 0)
         self.bits = self.column([1 << s for s in range(self.stops)]).astype(np.int32)
 
-    def phase_of(self, touching):
+    def phase_of(self, touching: Which) -> Phase:
         """Index of the phase in which these stops touch."""
         return jnp.sum(jnp.where(touching, self.bits, 0), axis=0, dtype=jnp.int32)
 
-    def column(self, values):
+    def column(self, values: Sequence[float | int]) -> Shaped[np.ndarray, "rows *ones"]:
         """Put one value per row, the same for all lanes."""
         return np.asarray(values).reshape((len(values),) + (1,) * self.lanes)
 
-    def phasor(self, time):
+    def phasor(self, time: Number) -> Float[Array, "2 *#lanes"]:
         """Sine and cosine of the drive phase, as one array."""
         angle = self.force.start_phase + self.force.angular_frequency * time
         return cosine(angle - self.column([np.pi / 2, 0.0]))
 
-    def read(self, blocks, phase, sine, cosine_):
+    def read(self, blocks: Blocks, phase: Phase, sine: Number, cosine_: Number) -> Rows:
         """Read depths and speeds (and more, where needed) off block coordinates."""
         flat = blocks.reshape(2 * self.n, *blocks.shape[2:])
         rows = apply_matrix(self.readout, flat)
@@ -109,49 +115,53 @@ class ContactLoop:
             + pick(phase, self.readout_wave[1]) * cosine_
         )
 
-    def touching(self, phase):
+    def touching(self, phase: Phase) -> Which:
         """Which stops are in contact."""
         return (phase & self.bits) > 0
 
-    def contact(self, reading):
+    def contact(self, reading: Rows) -> tuple[PerStop, PerStop]:
         """Indicator of contact of each stop (positive in contact) and its rate, m and m/s."""
         k = self.stops
         depth, speed = reading[:k], reading[k : 2 * k]
         if all(self.phases.can_pull):
             return depth, speed
-        # Without tension contact also ends where the force does; a length: force over stiffness.
-        stiffness = spread(self.phases.stiffness, 1, self.lanes)
-        damping = spread(self.phases.damping, 1, self.lanes)
-        unit = stiffness + damping * self.force.angular_frequency
-        safe = jnp.where(unit > 0, unit, 1.0)
-        acceleration = reading[2 * k : 3 * k]
-        push = jnp.where(unit > 0, (stiffness * depth + damping * speed) / safe, depth)
-        push_rate = jnp.where(unit > 0, (stiffness * speed + damping * acceleration) / safe, speed)
-        pulls = self.column(self.phases.can_pull)
-        by_depth = pulls | (depth <= push)
-        return jnp.where(by_depth, depth, push), jnp.where(by_depth, speed, push_rate)
+        # Without tension contact also ends where the force does.
+        push = stop_push(
+            spread(self.phases.stiffness, 1, self.lanes),
+            spread(self.phases.damping, 1, self.lanes),
+            self.column(self.phases.can_pull),
+            self.force.angular_frequency,
+            depth,
+            speed,
+            reading[2 * k : 3 * k],
+        )
+        return contact_indicator(depth, speed, *push)
 
-    def factors(self, phase, oscillates, step):
+    def factors(
+        self, phase: Phase, oscillates: Bool[Array, "blocks *#lanes"], step: Number
+    ) -> Blocks:
         """Growth of both rows of every block over a step: decay times (cosine, sine)."""
         decay, rate = pick(phase, self.exponent), pick(phase, self.rate)
         quarter = self.column([0.0, np.pi / 2])[:, None]
         turn = jnp.where(oscillates, rate * step - quarter, 0.0)
         return jnp.exp(decay * step) * cosine(turn)
 
-    def rotate(self, factor, oscillates, blocks):
+    def rotate(
+        self, factor: Blocks, oscillates: Bool[Array, "blocks *#lanes"], blocks: Blocks
+    ) -> Blocks:
         """Advance block coordinates by their factors: a rotation, or two exponentials."""
         sign = self.column([-1.0, 1.0])[:, None]
         along = jnp.where(oscillates, factor[:1], factor)
         across = jnp.where(oscillates, factor[1:], 0.0)
         return along * blocks + sign * across * blocks[::-1]
 
-    def drift(self, blocks, phase, time):
+    def drift(self, blocks: Blocks, phase: Phase, time: Number) -> Blocks:
         """First-order motion over a short time: the Newton correction of a crossing."""
         decay, rate = pick(phase, self.exponent), pick(phase, self.rate)
         sign = self.column([-1.0, 1.0])[:, None]
         return blocks + time * (decay * blocks + sign * rate * blocks[::-1])
 
-    def pushed(self, blocks, phase, time, step):
+    def pushed(self, blocks: Blocks, phase: Phase, time: Number, step: Number) -> Blocks:
         """Add what the drive does over a step to the blocks that it turns in resonance."""
 
         def add():
@@ -164,52 +174,50 @@ class ContactLoop:
 
         return where_needed(self.resonant, add, blocks)
 
-    def cubic_error(self, blocks, phase, step):
+    def cubic_error(self, blocks: Blocks, phase: Phase, step: Number) -> PerStop:
         """Bound of the error of the cubics through the depths over a step, m."""
         blocks = lax.stop_gradient(blocks)
         size = jnp.sqrt(blocks[0] ** 2 + blocks[1] ** 2)
         wiggle = lax.stop_gradient(pick(phase, self.wiggle))
         return jnp.sum(wiggle * size, axis=1) * lax.stop_gradient(step) ** 4
 
-    def proposal(self, seen, touching, tolerance):
+    def proposal(
+        self,
+        start: PerStop,
+        start_rate: PerStop,
+        end: PerStop,
+        end_rate: PerStop,
+        step: Number,
+        error: PerStop,
+        touching: Which,
+        tolerance: Number,
+    ) -> Number:
         """Fraction of the step up to the first crossing of any stop; 1 where there is none."""
-        start, start_rate, end, end_rate, step, error = seen
         sign = jnp.where(touching, -1.0, 1.0)
         f0, f1 = jnp.minimum(sign * start, 0.0), sign * end
         d0, d1 = sign * start_rate * step, sign * end_rate * step
-        curve, bend = 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
+        cubic = cubic_between(f0, d0, f1, d1)
         crossed = f1 > tolerance
         # Newton on the cubic from the secant; from the turning point when the step starts on it.
-        tiny = jnp.finfo(f0.dtype).tiny
         secant = -f0 / jnp.where(crossed, f1 - f0, 1.0)
-        turning = jnp.where(d0 > 0, 0.5, jnp.clip(-d0 / jnp.where(curve == 0, 1.0, curve), 0, 1))
+        curve = jnp.where(cubic.curve == 0, 1.0, cubic.curve)
+        turning = jnp.where(d0 > 0, 0.5, jnp.clip(-d0 / curve, 0, 1))
         u = jnp.clip(jnp.where(f0 > -tolerance, turning, secant), 0.02, 0.95)
-        low, high = jnp.zeros_like(u), jnp.ones_like(u)
-        for _ in range(4):
-            value = f0 + u * (d0 + u * (curve + u * bend))
-            slope = d0 + u * (2 * curve + 3 * u * bend)
-            low, high = jnp.where(value > 0, low, u), jnp.where(value > 0, u, high)
-            u = u - value / jnp.where(jnp.abs(slope) < tiny, tiny, slope)
-            u = jnp.where((u > low) & (u < high), u, (low + high) / 2)
         # Short of the end, so that a cubic that misleads cannot hold the lane up.
-        u = jnp.clip(u, 0.005, 0.95)
+        u = jnp.clip(cubic.root(guess=u, rounds=4), 0.005, 0.95)
         # A touch and go inside the step shows as a maximum above zero.
-        root = jnp.sqrt(jnp.maximum(curve**2 - 3 * bend * d0, 0.0))
-        below = root - curve
-        top = d0 / jnp.where(below > tiny, below, 1.0)
-        height = f0 + top * (d0 + top * (curve + top * bend))
-        hidden = ~crossed & (below > tiny) & (top > 0.01) & (top < 0.99) & (height > tolerance)
+        top, height = cubic.peak()
+        hidden = ~crossed & (d0 > 0) & (top > 0.01) & (top < 0.99) & (height > tolerance)
         # Where the cubic may be wrong by more than its distance from zero, the step is halved.
         reach = jnp.where(error > tolerance, 16.0 * error, 0.0)
         doubt = jnp.zeros(crossed.shape, bool)
         for x in _PLACES:
-            value = f0 + x * (d0 + x * (curve + x * bend))
-            doubt = doubt | (value + reach * (x * (1 - x)) ** 2 > tolerance)
+            doubt = doubt | (cubic.at(x) + reach * (x * (1 - x)) ** 2 > tolerance)
         accepted = jnp.where(doubt & ~crossed, 0.5, 1.0)
         found = jnp.where(crossed, u, jnp.where(hidden, top, accepted))
         return jnp.min(found, axis=0, initial=1.0)
 
-    def attempt(self, flight: Flight, live: Bool[Array, "*#lanes"], tick, until) -> Flight:
+    def attempt(self, flight: Flight, live: Whether, tick: Int[Array, ""], until: Number) -> Flight:
         """Try one step in every live lane; `until` is the time at which a lane's run ends."""
         once = lambda f: computed_once(tick, f)  # noqa: E731
         force, phase, step = self.force, flight.phase, flight.step
@@ -229,7 +237,7 @@ class ContactLoop:
         seen = lax.stop_gradient((start, start_rate, end, end_rate, step, error))
 
         def propose():
-            return self.proposal(seen, touching, tolerance)
+            return self.proposal(*seen, touching, tolerance)
 
         fraction = once(propose)
         kept = live & (fraction >= 1.0)
@@ -270,7 +278,7 @@ class ContactLoop:
             settled = jnp.where(action > 0, reading, flight.reading)
         measures = flight.measures
         if measures is not None:
-            segment = self.segment(flight, reading, step + late, time, touching, arrived)
+            segment = self.segment(flight, reading, step + late, touching, arrived)
             measures = measures.add(segment, kept)
         ended = jnp.where(done, 0.0, time)
         following = self.next_step(settled, new_phase, until - ended)
@@ -285,7 +293,15 @@ class ContactLoop:
             measures=measures,
         )
 
-    def change_phase(self, landed, phase, arrived, flips, sine, cosine_):
+    def change_phase(
+        self,
+        landed: Blocks,
+        phase: Phase,
+        arrived: Which,
+        flips: Whether,
+        sine: Number,
+        cosine_: Number,
+    ) -> tuple[Blocks, Phase]:
         """Go over to the block coordinates of the phase that the arrived stop leads to."""
         flat = landed.reshape(2 * self.n, *landed.shape[2:])
         rows = apply_matrix(self.change, flat)
@@ -299,7 +315,7 @@ class ContactLoop:
         flipped = phase ^ self.phase_of(arrived)
         return changed.reshape(landed.shape), jnp.where(flips, flipped, phase)
 
-    def next_step(self, reading, phase, left):
+    def next_step(self, reading: Rows, phase: Phase, left: Number) -> Number:
         """Longest step, cut where the present speeds would bring a stop to its crossing."""
         longest = self.force.longest_step
         if self.stops:
@@ -311,7 +327,9 @@ class ContactLoop:
             longest = jnp.where(soon > 0, jnp.minimum(soon, longest), longest)
         return jnp.minimum(longest, left)
 
-    def segment(self, flight, reading, duration, time, touching, arrived):
+    def segment(
+        self, flight: Flight, reading: Rows, duration: Number, touching: Which, arrived: Which
+    ) -> Segment:
         """What the measures see of an accepted step."""
         k = self.stops
         start = flight.reading

@@ -5,11 +5,13 @@ phase has its own exact propagator: its state matrix is brought to blocks of two
 decay where the pair of eigenvalues is complex, two exponentials where it is real.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, ArrayLike, Complex, Float
 
 from vibrojax._tools.checks import concrete
 from vibrojax.model.equations import LinearEquations
@@ -115,7 +117,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     dtype = equations.angular_frequency.dtype
     laws = [linear_coefficients(stop.law) or (0.0, 0.0) for stop in stops]
 
-    def column(values):
+    def column(values: Sequence[ArrayLike]) -> Float[Array, " stops"]:
         return jnp.stack([jnp.asarray(v, dtype) for v in values]) if values else jnp.zeros((0,))
 
     stiffness, damping = column([k for k, _ in laws]), column([c for _, c in laws])
@@ -129,7 +131,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     if equations.damping_coupling is not None:
         flight_damping = flight_damping + equations.damping_coupling / unit
 
-    def one(touching):
+    def one(touching: Float[Array, " stops"]) -> tuple[Array, ...]:
         push = pushes * touching
         lower_q = -jnp.diag(flight_stiffness) - (push * stiffness) @ places
         lower_v = -flight_damping - (push * damping * unit) @ places
@@ -167,7 +169,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     plain = jnp.block([[places, zero], [zero, places], [tip, none], [none, tip]])
     count = len(stops)
 
-    def read(p):
+    def read(p: int) -> Float[Array, "rows states"]:
         rows = plain @ to_state[p]
         left, right = rows[count : 2 * count, :n], rows[count : 2 * count, n:]
         decay, turn = exponent[p], rate[p]
@@ -250,7 +252,15 @@ def can_resonate(phases: ContactPhases | None) -> bool:
     return bool(np.any((rate > 0) & (np.abs(exponent[..., 0, :]) < 2 * NEAR * rate)))
 
 
-def _driven(phases, angular_frequency):
+def _driven(
+    phases: ContactPhases, angular_frequency: Float[Array, "*lanes"]
+) -> tuple[
+    Float[Array, "phases blocks *#lanes"],
+    Float[Array, "phases blocks *#lanes"],
+    Complex[Array, "phases blocks *#lanes"],
+    Complex[Array, "phases blocks *#lanes"],
+    Float[Array, "phases blocks *#lanes"],
+]:
     """Input of both rows of every block, and i W - block, where W is the drive frequency.
 
     The block is [[a, -b], [b, a]], or diag(a1, a2) with b = 0.

@@ -35,28 +35,6 @@ def where_needed(needed: Bool[Array, ""], compute: Callable[[], T], otherwise: T
     return jax.lax.cond(needed, compute, lambda: otherwise)
 
 
-def cubic_maximum(
-    start: Float[Array, "..."],
-    start_slope: Float[Array, "..."],
-    end: Float[Array, "..."],
-    end_slope: Float[Array, "..."],
-) -> Float[Array, "..."]:
-    """Maximum on [0, 1] of the cubic with these end values and end slopes."""
-    curve = 3 * (end - start) - 2 * start_slope - end_slope
-    bend = 2 * (start - end) + start_slope + end_slope
-    # The stationary point that is a maximum, in the form that does not cancel when bend -> 0.
-    square = curve**2 - 3 * bend * start_slope
-    # The derivative of a root that is not taken must be finite too.
-    root = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
-    below = root - curve
-    tiny = jnp.finfo(start.dtype).tiny
-    inside = (start_slope > 0) & (below > 0)
-    u = jnp.where(inside, start_slope / jnp.where(below > tiny, below, 1.0), 0.0)
-    u = jnp.clip(u, 0.0, 1.0)
-    interior = start + u * (start_slope + u * (curve + u * bend))
-    return jnp.maximum(jnp.maximum(start, end), interior)
-
-
 def apply_matrix(
     matrix: Float[Array, "rows columns *#lanes"], vector: Float[Array, "columns *#lanes"]
 ) -> Float[Array, "rows *#lanes"]:

@@ -12,10 +12,13 @@ Every array has the lanes as trailing axes, for speed only (XLA then vectorises 
 no such axes it is the code of one lane.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
+from vibrojax.model.drives import AbstractDrive, AbstractWaveform
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_loop import ContactLoop, Flight, pick
 from vibrojax.stepping.contact_phases import ContactPhases, spread
@@ -76,8 +79,17 @@ def step_from(
 
 
 def _step_lanes(
-    phases, drive, waveform, state, start, duration, tolerance, *, max_attempts=None, lanes=()
-):
+    phases: ContactPhases,
+    drive: AbstractDrive,
+    waveform: AbstractWaveform,
+    state: Float[Array, "states *#lanes"],
+    start: Float[Array, "*#lanes"],
+    duration: Float[Array, "*#lanes"],
+    tolerance: Float[Array, "*#lanes"],
+    *,
+    max_attempts: int | None = None,
+    lanes: tuple[int, ...] = (),
+) -> Float[Array, "states *lanes"]:
     phase, _, _ = waveform.phase(start)
     _, rate, second = waveform.phase(start + duration / 2)
     start_phase = phase - 2 * jnp.pi * jnp.round(phase / (2 * jnp.pi))
@@ -94,12 +106,14 @@ def _step_lanes(
 
 
 @jax.custom_batching.custom_vmap
-def _step_any_lanes(*numbers):
+def _step_any_lanes(*numbers: Any) -> Float[Array, " states"]:
     return _step_lanes(*numbers)
 
 
 @_step_any_lanes.def_vmap
-def _step_batched(axis_size, in_batched, *numbers):
+def _step_batched(
+    axis_size: int, in_batched: Any, *numbers: Any
+) -> tuple[Float[Array, "lanes states"], bool]:
     # Lanes go last, as the loop wants them: `vmap` itself would put them first, ten times slower.
     lanes_last = jax.tree.map(
         lambda is_batched, a: jnp.moveaxis(a, 0, -1) if is_batched else a,
@@ -110,12 +124,12 @@ def _step_batched(axis_size, in_batched, *numbers):
 
 
 @jax.custom_jvp
-def _step(*numbers):
+def _step(*numbers: Any) -> Float[Array, " states"]:
     return _step_any_lanes(*numbers)
 
 
 @_step.defjvp
-def _step_jvp(numbers, changes):
+def _step_jvp(numbers: Any, changes: Any) -> tuple[Float[Array, " states"], Any]:
     # A rule for vmap cannot be differentiated under another vmap: derivatives go without it.
     return jax.jvp(_step_lanes, numbers, changes)
 
@@ -134,7 +148,7 @@ def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
         touching = jnp.where(jnp.abs(indicator) <= force.depth_tolerance, rate > 0, touching)
     phase = jnp.broadcast_to(loop.phase_of(touching), zero.shape)
 
-    def blocks_of(p):
+    def blocks_of(p: int) -> Float[Array, "states *#lanes"]:
         steady = force.blocks[p]
         forced = steady.real * wave[0] + steady.imag * wave[1]
         rest = spread(phases.rest[p], 1, loop.lanes)
@@ -156,7 +170,7 @@ def leave(
     wave = loop.phasor(time)
     flat = flight.blocks.reshape(2 * loop.n, *flight.blocks.shape[2:])
 
-    def state_of(p):
+    def state_of(p: int) -> Float[Array, "states *#lanes"]:
         steady = force.blocks[p]
         forced = steady.real * wave[0] + steady.imag * wave[1]
         rest = spread(phases.rest[p], 1, loop.lanes)
@@ -188,10 +202,10 @@ def run(
     grid = jnp.ceil(duration / jnp.where(longest > 0, longest, 1.0))
     budget = (target * jnp.clip(RETRIES * grid, RETRIES, 1e7)).astype(jnp.int32)
 
-    def live(flight):
+    def live(flight: Flight) -> Bool[Array, "*lanes"]:
         return (flight.finished < target) & (flight.attempts < budget)
 
-    def attempt(flight, tick):
+    def attempt(flight: Flight, tick: Int[Array, ""]) -> Flight:
         return loop.attempt(flight, live(flight), tick, duration)
 
     if max_attempts is None:

@@ -42,24 +42,15 @@ def forcing(
     stops, count = phases.num_stops, 2**phases.num_stops
     steady = forced_blocks(phases, amplitude, angular_frequency)
     driven = resonant_blocks(phases, amplitude, angular_frequency)
-
-    def complex_apply(matrix, vector):
-        return apply_matrix(matrix, vector.real) + 1j * apply_matrix(matrix, vector.imag)
-
-    def seen(blocks):
-        return jnp.stack([complex_apply(phases.readout[p], blocks[p]) for p in range(count)])
-
-    read, pushed = seen(steady), seen(driven)[:, : 2 * stops]
-    # The steady response is no free motion of a block: its acceleration is -w^2 its depth.
-    acceleration = -(angular_frequency**2) * read[:, :stops] + pushed[:, stops:]
-    read = read.at[:, 2 * stops : 3 * stops].set(acceleration)
+    read = steady_readout(phases, steady, driven, angular_frequency)
     change = jnp.zeros((count, stops, *steady.shape[1:]), steady.dtype)
     for p, s in np.ndindex(count, stops):
-        moved = complex_apply(phases.change[p, s], steady[p]) - steady[p ^ (1 << s)]
+        moved = _complex_apply(phases.change[p, s], steady[p]) - steady[p ^ (1 << s)]
         change = change.at[p, s].set(moved)
     # A landing is judged by the gap: near resonance the steady response without stops says little.
     gap = spread(phases.gap, 1, angular_frequency.ndim)
-    moved = jnp.abs(read[0, :stops]) + jnp.abs(pushed[0, :stops]) / angular_frequency
+    pushed = _complex_apply(phases.readout[0, :stops], driven[0])
+    moved = jnp.abs(read[0, :stops]) + jnp.abs(pushed) / angular_frequency
     size = jnp.where(gap > 0, gap, moved)
     size = jnp.min(size, axis=0) if stops else jnp.zeros_like(angular_frequency)
     return Forcing(
@@ -72,6 +63,31 @@ def forcing(
         longest_step=longest_step,
         depth_tolerance=jnp.broadcast_to(event_tolerance * size, angular_frequency.shape),
     )
+
+
+def steady_readout(
+    phases: ContactPhases,
+    steady: Complex[Array, "phases states *#lanes"],
+    driven: Complex[Array, "phases states *#lanes"] | None,
+    angular_frequency: Float[Array, "*#lanes"],
+) -> Complex[Array, "phases rows *#lanes"]:
+    """What the read-out rows see of the steady response and of the input of blocks in resonance."""
+    s, every = phases.num_stops, range(2**phases.num_stops)
+    read = jnp.stack([_complex_apply(phases.readout[p], steady[p]) for p in every])
+    # The steady response is no free motion of a block: its acceleration is -w^2 its depth.
+    acceleration = -(angular_frequency**2) * read[:, :s]
+    if driven is not None:
+        rates = phases.readout[:, s : 2 * s]
+        acceleration = acceleration + jnp.stack(
+            [_complex_apply(rates[p], driven[p]) for p in every]
+        )
+    return read.at[:, 2 * s : 3 * s].set(acceleration)
+
+
+def _complex_apply(
+    matrix: Float[Array, "rows columns *#lanes"], vector: Complex[Array, "columns *#lanes"]
+) -> Complex[Array, "rows *#lanes"]:
+    return apply_matrix(matrix, vector.real) + 1j * apply_matrix(matrix, vector.imag)
 
 
 def longest_step(

@@ -1,4 +1,4 @@
-"""`LinearlyImplicit`: stepping for systems whose mass hangs on the configuration."""
+"""`LinearlyImplicit`: stepping for systems whose mass depends on the configuration."""
 
 import math
 from typing import Any
@@ -63,7 +63,7 @@ class LinearlyImplicit(AbstractMethod):
                 raise ValueError("Give steps_per_period or longest_step (s), not both.")
 
     def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> "ImplicitMarch":
-        """Linearise about rest; the matrix of the solve hangs on the drive frequency too."""
+        """Linearise about rest; the matrix of the solve depends on the drive frequency too."""
         return ImplicitMarch(
             equations=equations,
             drive=drive,
@@ -88,7 +88,7 @@ class LinearlyImplicit(AbstractMethod):
         state: Float[Array, " states"],
         solver_state: Any,
     ) -> Float[Array, " states"]:
-        """Take one step of the length that `init` was told."""
+        """Take one step of the length given to `init`."""
         drive_input = motion.drive.input(motion.waveform, start + duration / 2)
         return take_step(
             motion.equations, solver_state, state, duration, drive_input, self.refinements

@@ -191,7 +191,7 @@ def contact_impulses(
     linear = all(linear_coefficients(stop.law) is not None for stop in stops)
     # A linear law is exact at once, but for its rounded corner and for one of several letting go.
     passes = 2 if linear else CONTACT_PASSES
-    # No division by a vanishing time: the dashpot's share hangs on the way only.
+    # No division by a vanishing time: the dashpot's share depends on the way only.
     tiny = jnp.finfo(after.dtype).tiny
     live = ((after > 0) | (before > 0)) & (time > tiny)
     safe = jnp.where(live, time, 1.0)

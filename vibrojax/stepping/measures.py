@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from vibrojax.stepping.elementary import cubic_maximum
+from vibrojax.stepping.cubic import cubic_maximum
 
 
 class Segment(NamedTuple):

@@ -19,6 +19,7 @@ from vibrojax.model.equations import AbstractEquations, LinearEquations
 from vibrojax.model.systems import Motion
 from vibrojax.stepping import exact_contact, splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
+from vibrojax.stepping.cubic import cubic_between
 from vibrojax.stepping.measures import Measures
 
 
@@ -87,10 +88,8 @@ class StateInterpolation(diffrax.AbstractLocalInterpolation):
         safe = jnp.where(h > 0, h, 1.0)
         u = (t0 - self.t0) / safe
         (q0, v0), (q1, v1) = jnp.split(self.y0, 2), jnp.split(self.y1, 2)
-        rise, bend = q1 - q0, h * (v0 + v1) - 2 * (q1 - q0)
-        curve = rise - h * v0 - bend
-        q = q0 + u * (h * v0 + u * (curve + u * bend))
-        v = v0 + u * (2 * curve + 3 * u * bend) / safe
+        cubic = cubic_between(q0, safe * v0, q1, safe * v1)
+        q, v = cubic.at(u), cubic.slope_at(u) / safe
         if self.memory0 is None or self.memory1 is None:
             return jnp.concatenate([q, v])
         return jnp.concatenate([q, v, self.memory0 + u * (self.memory1 - self.memory0)])
@@ -112,19 +111,16 @@ class AbstractMethod(diffrax.AbstractSolver[Any]):
     def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> AbstractMarch:
         """Compute what does not depend on the drive frequency, for one lane.
 
-        Map it with `jax.vmap(..., out_axes=-1)` for lanes of different systems.
-
-        `equations` are those of one system, `drive` says where it is driven. Raises
-        `ValueError` for equations that the method cannot step.
+        `equations` are those of one system (for lanes of several: `jax.vmap(..., out_axes=-1)`),
+        `drive` drives it. Raises `ValueError` for equations that the method cannot step.
         """
 
     @abstractmethod
     def steps(self, motion: Motion) -> int:
         """Return how many equal steps to take in a drive period, for diffrax.
 
-        Raises `ValueError` when that hangs on numbers that JAX is tracing.
-
-        `motion` holds equations, drive and waveform.
+        `motion` holds equations, drive and waveform. Raises `ValueError` when the number depends on
+        values that JAX is tracing.
         """
 
     @abstractmethod
@@ -139,8 +135,7 @@ class AbstractMethod(diffrax.AbstractSolver[Any]):
         """Return the state after a step.
 
         `motion` holds equations, drive and waveform; the step begins at `start` and takes
-        `duration` (s); `state` has the shape (states,); `solver_state` is what `init`
-        returned.
+        `duration` (s); `solver_state` is what `init` returned.
         """
 
     def order(self, terms: Any) -> int:
@@ -269,7 +264,7 @@ class ExactContact(AbstractMethod):
         )
 
     def steps(self, motion: Motion) -> int:
-        """As many as the march would take; 64 when that hangs on numbers that JAX is tracing."""
+        """As many as the march would take; 64 when that depends on numbers that JAX is tracing."""
         if self.steps_per_period is not None:
             return self.steps_per_period
         _, rate, _ = motion.waveform.phase(jnp.zeros(()))
@@ -363,7 +358,7 @@ class ExponentialSplitting(AbstractMethod):
         steps = concrete(_splitting_steps(linear, rate, jnp.asarray(self.tolerance)))
         if steps is None:
             raise ValueError(
-                "The number of steps hangs on values that JAX is tracing: give the solver, as "
+                "The number of steps depends on values that JAX is tracing: give the solver, as "
                 "ExponentialSplitting(steps_per_period=...)."
             )
         return int(steps)

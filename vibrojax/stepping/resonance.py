@@ -36,7 +36,7 @@ def driven_growth(
     driven: Complex[Array, "rows *#lanes"],
     angle: Float[ArrayLike, "*#lanes"],
     angular_frequency: Float[Array, "*#lanes"],
-    time: Float[Array, "*#lanes"],
+    time: Float[ArrayLike, "*#lanes"],
 ) -> Float[Array, "rows *#lanes"]:
     """What inputs Im(driven e^(i phase)) add to the two rows of blocks in resonance.
 
@@ -45,7 +45,7 @@ def driven_growth(
     """
     first, second = jnp.split(driven, 2)
     pole, drive = lax.complex(decay, rate), 1j * angular_frequency
-    start, end = _turn(jnp.asarray(angle)), _turn(angle + angular_frequency * time)
+    start, end = _turn(jnp.asarray(angle)), _turn(jnp.asarray(angle + angular_frequency * time))
     grown = jnp.exp(decay * time) * _turn(rate * time)
     # The quotient of the differences above by its series: in resonance this is small.
     apart = (drive - pole) * time
@@ -58,13 +58,13 @@ def driven_growth(
     return jnp.concatenate([added.real, added.imag])
 
 
-def _turn(angle):
+def _turn(angle: Float[Array, "..."]) -> Complex[Array, "..."]:
     return lax.complex(cosine(angle), cosine(angle - np.pi / 2))
 
 
 def is_resonant(
     determinant: Complex[Array, "..."], angular_frequency: Float[Array, "..."]
-) -> Array:
+) -> Bool[Array, "..."]:
     """Whether the determinant (i W - p)(i W - p*) of a block says that the drive turns it."""
     return jnp.abs(determinant) < 2 * NEAR * angular_frequency**2
 

@@ -27,7 +27,8 @@ from vibrojax.model.equations import (
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_phases import spread
-from vibrojax.stepping.elementary import computed_once, cubic_maximum, where_needed
+from vibrojax.stepping.cubic import cubic_maximum
+from vibrojax.stepping.elementary import computed_once, where_needed
 from vibrojax.stepping.measures import Measures, Segment, no_measures
 from vibrojax.stepping.resonance import driven_growth, is_resonant
 
@@ -393,8 +394,7 @@ def march(
 
     zero = jnp.zeros(angular_frequency.shape, jnp.int32)
     first = no_measures(jnp.zeros_like(angular_frequency)) if observe else None
-    target = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), zero.shape)
-    periods = target
+    periods = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), zero.shape)
     start = (jnp.broadcast_to(state, (equations.state_size, *zero.shape)), zero, first)
     end, done, measures = lax.while_loop(lambda c: jnp.any(c[1] < periods), period, start)
     return end, done * steps, measures

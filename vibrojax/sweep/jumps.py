@@ -3,7 +3,7 @@
 import numpy as np
 
 DISTINCT = 0.1
-"""Relative difference of amplitude from which two branches are told apart."""
+"""Relative difference of amplitude from which two branches are different."""
 
 
 class Jumps:

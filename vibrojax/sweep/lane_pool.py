@@ -2,8 +2,8 @@
 
 One loop over all lanes would run as long as its slowest lane. Here every lane goes through its own
 stages (march, Newton's method, measuring, the next frequency), and what is run is always the
-fullest stage, on as many lanes as one loop takes. The stages are those of `response.settling`, so
-a lane comes to what it would come to alone.
+fullest stage, on as many lanes as one loop takes. The stages are those of `steady.settling`, so
+a lane ends as it would alone.
 """
 
 from collections.abc import Callable
@@ -37,7 +37,7 @@ MARCH, POLISH, MEASURE, IDLE = range(4)
 
 
 class Arrived(NamedTuple):
-    """What some lanes came to, lanes leading."""
+    """Steady states of some lanes, lanes leading."""
 
     lanes: Int[np.ndarray, " lanes"]
     state: Float[np.ndarray, "lanes states"]
@@ -60,11 +60,11 @@ class Onwards(NamedTuple):
 
 
 @runtime_checkable
-class Course(Protocol):
+class LaneFeed(Protocol):
     """Decides the frequencies that each lane goes through."""
 
     def onwards(self, arrived: Arrived) -> Onwards:
-        """Take note of what some lanes came to and say where they go next."""
+        """Take note of the steady states of some lanes and say where they go next."""
         ...
 
 
@@ -119,10 +119,10 @@ class LanePool:
         self,
         state: Float[np.ndarray, "lanes states"],
         angular_frequency: Float[np.ndarray, " lanes"],
-        course: Course,
-        tell: Callable[[int], object] = lambda count: None,
+        feed: LaneFeed,
+        report: Callable[[int], object] = lambda count: None,
     ) -> None:
-        """Bring all lanes through their courses; `tell` hears how many points were reached."""
+        """Bring all lanes to the end of their feed; `report` takes numbers of points reached."""
         lanes = len(self.rig)
         self.frequency = np.array(angular_frequency, float)
         self.march.check_steps(np.asarray(self.rig), self.frequency)
@@ -146,7 +146,7 @@ class LanePool:
             elif stage == POLISH:
                 self._run_polish(chosen)
             else:
-                tell(self._run_measure(chosen, course))
+                report(self._run_measure(chosen, feed))
 
     def _first_stage(self, lanes: np.ndarray) -> np.ndarray:
         """Return MARCH; MEASURE for lanes that would grow without bound."""
@@ -253,7 +253,7 @@ class LanePool:
                 self.period[own[np.linalg.norm(gone, axis=1) <= CLOSED * size]] = part
                 lanes = left
 
-    def _run_measure(self, chosen: np.ndarray, course: Course) -> int:
+    def _run_measure(self, chosen: np.ndarray, feed: LaneFeed) -> int:
         window = np.where(self.period > 0, self.period, APERIODIC_PERIODS)
         own, lanes = self._batch(chosen[window[chosen] == window[chosen].min()])
         state = self.state[lanes]
@@ -284,7 +284,7 @@ class LanePool:
             window=np.maximum(window[:n], 1),
             measures=jax.tree.map(lambda a: np.asarray(a)[:n], measures),
         )
-        self._send(own, course.onwards(arrived))
+        self._send(own, feed.onwards(arrived))
         return n
 
     def _send(self, lanes: np.ndarray, onwards: Onwards) -> None:

@@ -87,7 +87,7 @@ def prepare(method: AbstractMethod, rigs: Rigs) -> Prepared:
 
 
 class Swept(NamedTuple):
-    """What the rigs of a sweep came to. Curves have the shape (rigs, directions, frequencies)."""
+    """States of the rigs of a sweep. Curves have the shape (rigs, directions, frequencies)."""
 
     curves: dict[str, np.ndarray]
     states: Float[np.ndarray, "rigs directions frequencies states"]
@@ -125,7 +125,7 @@ def _variables(arrived: Arrived, reference: Float[np.ndarray, " lanes"]) -> dict
 
 
 class _Grid:
-    """The course of every lane through the grid, upwards or downwards."""
+    """Feed of lanes that go through the grid, upwards or downwards."""
 
     def __init__(self, plan: SweepPlan, lanes: int, states: int, unit: np.ndarray, reference):
         self.grid, self.unit, self.reference = plan.grid, unit, reference
@@ -146,7 +146,7 @@ class _Grid:
         return self.grid[self.column(lanes)] * self.unit[lanes]
 
     def onwards(self, arrived: Arrived) -> Onwards:
-        """Store what some lanes came to and send them to the next point of the grid."""
+        """Store the steady states of some lanes and send them to the next point of the grid."""
         k = arrived.lanes
         at = self.column(k)
         for name, values in _variables(arrived, self.reference[k]).items():
@@ -159,7 +159,7 @@ class _Grid:
 
 
 class _Bisection:
-    """The course of lanes that jump: halve the bracket, each try starting before the jump."""
+    """Feed of lanes that jump: halve the bracket, each try starting before the jump."""
 
     def __init__(self, bracket, start, end, settled_before, state, halvings, unit, reference):
         self.low, self.high = bracket[:, 0].copy(), bracket[:, 1].copy()  # before, after
@@ -200,10 +200,10 @@ class _Bisection:
 def sweep_rigs(
     plan: SweepPlan,
     rigs: Rigs,
-    tell: Callable[[int], object] = lambda count: None,
+    report: Callable[[int], object] = lambda count: None,
     warn: Callable[[str], object] = lambda sentence: None,
 ) -> Swept:
-    """Sweep all rigs; `tell` hears how many points were reached, `warn` what cannot be."""
+    """Sweep all rigs; `report` takes numbers of points reached, `warn` what cannot be."""
     prepared = prepare(plan.method, rigs)
     first = np.asarray(prepared.first_frequency)
     unit = first if plan.axis == "frequency_ratio" else np.full(len(first), 2 * np.pi)
@@ -218,15 +218,15 @@ def sweep_rigs(
         )
     rig = np.repeat(np.arange(count), ways)
     states = prepared.march.energy_weight().shape[0]
-    course = _Grid(plan, len(rig), states, unit[rig], np.asarray(prepared.reference)[rig])
+    feed = _Grid(plan, len(rig), states, unit[rig], np.asarray(prepared.reference)[rig])
     every = np.arange(len(rig))
     pool = _pool(plan, prepared, rig)
-    pool.run(np.zeros((len(rig), states)), course.frequency(every), course, tell)
+    pool.run(np.zeros((len(rig), states)), feed.frequency(every), feed, report)
     shape = (count, ways, len(plan.grid))
-    curves = {name: values.reshape(shape) for name, values in course.curves.items()}
+    curves = {name: values.reshape(shape) for name, values in feed.curves.items()}
     found = find_jumps(curves["amplitude_ratio"], curves["status"], plan.directions)
     found.fill_brackets(plan.grid)
-    swept = Swept(curves, course.states.reshape(*shape, states), found, first / (2 * np.pi))
+    swept = Swept(curves, feed.states.reshape(*shape, states), found, first / (2 * np.pi))
     if plan.refine_jumps is not None and found.any():
         _refine(plan, plan.refine_jumps, prepared, swept, unit)
     return swept
@@ -253,7 +253,7 @@ def _refine(
         return
     rig, way, before, after = rig[wide], way[wide], before[wide], after[wide]
     amplitude = swept.curves["amplitude_ratio"]
-    course = _Bisection(
+    feed = _Bisection(
         bracket[wide],
         amplitude[rig, way, before],
         amplitude[rig, way, after],
@@ -264,9 +264,9 @@ def _refine(
         np.asarray(prepared.reference)[rig],
     )
     pool = _pool(plan, prepared, rig)
-    pool.run(course.state, course.frequency(np.arange(len(rig))), course)
+    pool.run(feed.state, feed.frequency(np.arange(len(rig))), feed)
     low_high = np.array(swept.jumps.bracket)
-    low_high[rig, way] = np.stack([course.low, course.high], axis=-1)
+    low_high[rig, way] = np.stack([feed.low, feed.high], axis=-1)
     swept.jumps.set_brackets(low_high[..., 0], low_high[..., 1])
 
 

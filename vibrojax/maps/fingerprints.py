@@ -1,4 +1,4 @@
-"""What tells functions, and any values, from others: their text and all that they read.
+"""Fingerprints of functions, and of any values: their text and all that they read.
 
 A function is known by its source and by the values of the globals, closures, defaults and modules
 that it reads, functions of the user's followed. What belongs to a library is known by its name and
@@ -28,7 +28,7 @@ import numpy as np
 from vibrojax.maps.store_files import digest
 
 MOST = 1_000_000
-"""Values that are looked into; what holds more cannot be told from others."""
+"""Values that are looked into; what holds more has no fingerprint."""
 LONGEST = 1_000
 """Characters of what is read that are kept beside its digest."""
 SHOWN = 8
@@ -51,7 +51,7 @@ class Identity(NamedTuple):
 
 
 def identity_of(function: Callable[..., Any]) -> Identity:
-    """Return what tells a function from others."""
+    """Return what identifies a function."""
     reads: dict[str, str] = {}
     unknown = []
     reader = _Reader()

@@ -1,14 +1,14 @@
-"""Many lanes marched and seen once per drive period: the engine of regimes, diagrams and basins.
+"""The Poincaré map of many lanes, at drive phase 0: the engine of regimes, diagrams and basins.
 
-A `Strober` holds the rigs of a study made ready; lanes are pairs of a rig and a drive frequency.
-It works through any number of lanes in chunks of one width, so everything compiles once, and what
-a lane comes to does not hang on its neighbours. On the host, lanes lead: states are (lanes,
-states); in the loops they trail, as the marches want them.
+A `PoincareMap` holds the rigs of a study made ready; lanes are pairs of a rig and a drive
+frequency. It works through any number of lanes in chunks of one width, so everything compiles once,
+and the result of a lane does not depend on its neighbours. On the host, lanes lead: states are
+(lanes, states); in the loops they trail, as the marches want them.
 
-    strober = Strober.of(method, rigs)
-    state = strober.march(rig, angular_frequency, state, periods)
-    record = strober.strobes(rig, angular_frequency, state, count)
-    found = strober.observe(rig, angular_frequency, state, plan)
+    poincare = PoincareMap.of(method, rigs)
+    state = poincare.march(rig, angular_frequency, state, periods)
+    record = poincare.section(rig, angular_frequency, state, count)
+    found = poincare.observe(rig, angular_frequency, state, plan)
 """
 
 from collections.abc import Callable
@@ -29,20 +29,18 @@ from vibrojax.regime.lyapunov import (
     tangent_growth,
 )
 from vibrojax.regime.period_number import period_number
+from vibrojax.steady.settling import APERIODIC_PERIODS
 from vibrojax.stepping.method import AbstractMarch, AbstractMethod
 from vibrojax.sweep.lane_pool import WIDTHS
 from vibrojax.sweep.swept_lanes import Prepared, Rigs, prepare, ratios_of
 
 lax = jax.lax
 
-APERIODIC_PERIODS = 24
-"""Drive periods over which contacts and extremes of a motion without a period are measured."""
-
-Tell = Callable[[int], object]
+Report = Callable[[int], object]
 Numbers = Float[np.ndarray, " lanes"]
 
 
-class StrobePlan(NamedTuple):
+class SectionPlan(NamedTuple):
     """How long lanes are marched and seen, and when a motion counts as periodic."""
 
     transient: int
@@ -56,7 +54,7 @@ class StrobePlan(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """What some lanes came to, lanes leading."""
+    """Motions of some lanes, lanes leading."""
 
     start: Float[np.ndarray, "lanes states"]
     """State at the start of the window observed, drive phase 0."""
@@ -77,11 +75,11 @@ def width_for(count: int) -> int:
 
 
 def in_chunks(
-    function: Callable[[np.ndarray], Any], count: int, tell: Tell = lambda done: None
+    function: Callable[[np.ndarray], Any], count: int, report: Report = lambda done: None
 ) -> Any:
     """Run a function of an index over chunks of lanes of one width, the last filled by repeats.
 
-    The function returns a tree of arrays with the lanes leading; `tell` hears of lanes done.
+    It returns a tree of arrays with the lanes leading; `report` takes numbers of lanes done.
     """
     width = width_for(count)
     parts = []
@@ -89,7 +87,7 @@ def in_chunks(
         own = min(width, count - first)
         found = function(np.minimum(np.arange(first, first + width), count - 1))
         parts.append(jax.tree.map(lambda a, n=own: np.asarray(a)[:n], found))
-        tell(own)
+        report(own)
     return jax.tree.map(lambda *a: np.concatenate(a), *parts)
 
 
@@ -103,14 +101,14 @@ def _march(march: AbstractMarch, frequency, state, periods):
     return end.T
 
 
-def _strobed(advance, state, count: int):
+def _iterated(advance, state, count: int):
     return lax.scan(lambda s, _: (advance(s),) * 2, state, None, length=count)
 
 
 @eqx.filter_jit
-def _strobes(march: AbstractMarch, frequency, state, count: int):
+def _section(march: AbstractMarch, frequency, state, count: int):
     advance = drive_period(march, frequency)
-    _, record = _strobed(advance, state.T, count)
+    _, record = _iterated(advance, state.T, count)
     return jnp.moveaxis(record, -1, 0)
 
 
@@ -133,15 +131,15 @@ def _observe(
         grown: Growth = tangent_growth(
             advance, state, first_tangent(weight), weight, ALIGNING + periods
         )
-        start, strobes = grown.strobes[ALIGNING - 1], grown.strobes[ALIGNING:]
+        start, section = grown.section[ALIGNING - 1], grown.section[ALIGNING:]
         growth = grown.log_growth[ALIGNING:]
         exponent, error = mean_rate(growth, 2 * jnp.pi / frequency)
         end = grown.state
     else:
         start = state
-        end, strobes = _strobed(advance, state, periods)
+        end, section = _iterated(advance, state, periods)
         exponent = error = jnp.full(frequency.shape, jnp.nan)
-    found = period_number(strobes * weight, tolerance, max_period)
+    found = period_number(section * weight, tolerance, max_period)
     alive = jnp.all(jnp.isfinite(end), axis=0)
     return {
         "start": start.T,
@@ -161,8 +159,8 @@ def _measure(march: AbstractMarch, reference, frequency, state, window):
     return ratios_of(measures, jnp.maximum(window, 1).astype(float), reference, jnp)
 
 
-class Strober(eqx.Module):
-    """Rigs made ready to be marched, strobed and measured, chunk by chunk of lanes.
+class PoincareMap(eqx.Module):
+    """Rigs made ready to be marched, observed and measured, chunk by chunk of lanes.
 
     In all methods `rig[k]` is the rig of lane k among those prepared and `angular_frequency[k]`
     its drive in rad/s; states (q, q', memories) are at drive phase 0.
@@ -174,7 +172,7 @@ class Strober(eqx.Module):
     prepared: Prepared
 
     @classmethod
-    def of(cls, method: AbstractMethod, rigs: Rigs) -> "Strober":
+    def of(cls, method: AbstractMethod, rigs: Rigs) -> "PoincareMap":
         """Make rigs ready."""
         return cls(method, _on_host(rigs), _on_host(prepare(method, rigs)))
 
@@ -206,7 +204,7 @@ class Strober(eqx.Module):
         angular_frequency: Numbers,
         state: Float[np.ndarray, "lanes states"],
         periods: int | Int[np.ndarray, " lanes"],
-        tell: Tell = lambda done: None,
+        report: Report = lambda done: None,
     ) -> Float[np.ndarray, "lanes states"]:
         """Return the states after so many drive periods, NaN where a lane was lost."""
         self.prepared.march.check_steps(rig, angular_frequency)
@@ -215,30 +213,30 @@ class Strober(eqx.Module):
         def run(k):
             return _march(self._march_of(rig[k]), angular_frequency[k], state[k], count[k])
 
-        return in_chunks(run, len(rig), tell)
+        return in_chunks(run, len(rig), report)
 
-    def strobes(
+    def section(
         self,
         rig: Int[np.ndarray, " lanes"],
         angular_frequency: Numbers,
         state: Float[np.ndarray, "lanes states"],
         count: int,
-        tell: Tell = lambda done: None,
+        report: Report = lambda done: None,
     ) -> Float[np.ndarray, "lanes count states"]:
         """Return the states after each of `count` drive periods."""
 
         def run(k):
-            return _strobes(self._march_of(rig[k]), angular_frequency[k], state[k], count)
+            return _section(self._march_of(rig[k]), angular_frequency[k], state[k], count)
 
-        return in_chunks(run, len(rig), tell)
+        return in_chunks(run, len(rig), report)
 
     def observe(
         self,
         rig: Int[np.ndarray, " lanes"],
         angular_frequency: Numbers,
         state: Float[np.ndarray, "lanes states"],
-        plan: StrobePlan,
-        tell: Tell = lambda done: None,
+        plan: SectionPlan,
+        report: Report = lambda done: None,
     ) -> Observed:
         """March the transient, then return period and exponent of what lasts."""
         self.prepared.march.check_steps(rig, angular_frequency)
@@ -257,7 +255,7 @@ class Strober(eqx.Module):
                 plan.lyapunov,
             )
 
-        return Observed(**in_chunks(run, len(rig), tell))
+        return Observed(**in_chunks(run, len(rig), report))
 
     def measure(
         self,

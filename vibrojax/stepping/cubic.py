@@ -1,0 +1,71 @@
+"""The cubic through values and slopes at both ends of an interval, in arrays of JAX."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+Values = Float[Array, "..."]
+Places = Float[ArrayLike, "..."]
+
+
+class Cubic(NamedTuple):
+    """value + u (slope + u (curve + u bend)) over the share u in [0, 1] of an interval."""
+
+    value: Values
+    slope: Values
+    curve: Values
+    bend: Values
+
+    def at(self, u: Places) -> Values:
+        """Value at some shares of the interval."""
+        return self.value + u * (self.slope + u * (self.curve + u * self.bend))
+
+    def slope_at(self, u: Places) -> Values:
+        """Slope there, per interval."""
+        return self.slope + u * (2 * self.curve + 3 * u * self.bend)
+
+    def peak(self) -> tuple[Values, Values]:
+        """Where in (0, 1) the maximum lies, and its value; 0.5 and -inf where there is none."""
+        square = self.curve**2 - 3 * self.bend * self.slope
+        # The derivative of a root that is not taken must be finite too.
+        root = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+        # The form of the quotient that does not cancel when the bend goes to 0.
+        below = root - self.curve
+        inside = (square > 0) & (self.slope * below > 0) & (abs(self.slope) < abs(below))
+        u = jnp.where(inside, self.slope / jnp.where(inside, below, 1.0), 0.5)
+        return u, jnp.where(inside, self.at(u), -jnp.inf)
+
+    def root(
+        self,
+        low: Places = 0.0,
+        high: Places = 1.0,
+        guess: Values | None = None,
+        *,
+        rounds: int = 8,
+    ) -> Values:
+        """Zero between two shares, at which the signs differ: Newton's method, safeguarded."""
+        rises = self.at(low) <= 0
+        zero = jnp.zeros_like(self.value)
+        low, high = zero + low, zero + high
+        u = (low + high) / 2 if guess is None else guess
+        for _ in range(rounds):
+            value, slope = self.at(u), self.slope_at(u)
+            before = (value <= 0) == rises
+            low, high = jnp.where(before, u, low), jnp.where(before, high, u)
+            newton = u - value / jnp.where(slope == 0, 1.0, slope)
+            u = jnp.where((newton > low) & (newton < high), newton, (low + high) / 2)
+        return u
+
+
+def cubic_between(start: Values, start_slope: Values, end: Values, end_slope: Values) -> Cubic:
+    """Cubic with these end values and end slopes, slopes per interval."""
+    rise = end - start
+    curve = 3 * rise - 2 * start_slope - end_slope
+    return Cubic(start, start_slope, curve, start_slope + end_slope - 2 * rise)
+
+
+def cubic_maximum(start: Values, start_slope: Values, end: Values, end_slope: Values) -> Values:
+    """Maximum on [0, 1] of the cubic with these end values and end slopes."""
+    _, peak = cubic_between(start, start_slope, end, end_slope).peak()
+    return jnp.maximum(jnp.maximum(start, end), peak)
