@@ -48,7 +48,8 @@ HIGHEST = len(PERIOD_COLORS)
 def kinds_in(kind: xarray.DataArray) -> dict[str, np.ndarray]:
     """Return where there is which kind of motion, of the kinds that there are."""
     names = str(kind.attrs["flag_meanings"]).split()
-    where = {n: kind.values == v for n, v in zip(names, kind.attrs["flag_values"], strict=True)}
+    flags = zip(names, kind.attrs["flag_values"], strict=True)
+    where = {name: np.asarray(kind.values == value) for name, value in flags}
     return {name: own for name, own in where.items() if own.any()}
 
 
