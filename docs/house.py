@@ -15,7 +15,7 @@ FLOORS = (
     {"regime": "kinds of motion, basins"},
     {"branches": "followed, with folds"},
     {"sweep": "up and down the frequency", "steady": "one periodic motion"},
-    {"history": "a motion in time", "measured": "what was measured", "io": "rig files"},
+    {"history": "a motion in time", "io": "rig files", "measured": "what was measured"},
     {"stepping": "one step forward, exact contact"},
     {"ensemble": "numbers become lanes", "model": "beams, stops, drives, equations"},
     {"plot": "pictures, in one style", "results": "units, axes, files"},

@@ -48,12 +48,13 @@ REFERENCES = {
     "gradients": (
         "Derivatives of a steady state",
         "`gradients.json`: implicit differentiation in numpy, one rig with six modes. "
-        "Held by `pytest -m long tests/steady/test_periodic_response.py`.",
+        "Held by `pytest -m slow tests/steady/test_periodic_response.py`.",
     ),
     "soft_support": (
         "Releases onto a soft support",
         "`soft_support.json`: exact event-driven propagation in numpy; its peaks are read off a "
-        "fine grid and so are never too high. Held by `pytest tests/history/test_contacts.py`.",
+        "fine grid and so are never too high. "
+        "Held by `pytest -m '' tests/history/test_contacts.py`.",
     ),
     "pendulum": (
         "Elastic pendulum, 17 links",

@@ -33,6 +33,26 @@ MOST_MAPPINGS = 20_000
 """Of memory in a process, of which Linux allows 65530; every compiled function takes several."""
 
 
+QUICK = {
+    *("test_beam", "test_drive", "test_elastic_pendulum"),
+    *("test_zipped_axes", "test_replay", "test_poincare", "test_single_contact"),
+    *("test_folds", "test_coexisting", "test_period_number", "test_lyapunov", "test_bifurcation"),
+    *("test_map_chunks", "test_regime_map", "test_identification_plot", "test_saving"),
+    *("test_measured_curve", "test_measured_files", "test_measured_history"),
+    *("test_measured_responses", "test_rig_file", "test_cli_fit", "test_interrupts"),
+    *("test_public_names", "test_documentation", "test_notebooks", "test_resolution"),
+    *("test_experiment_gandhi_vyas",),
+}
+"""Files whose tests, but for the slow ones, are run all the time: some of every room."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their markers
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if item.path.stem in QUICK and not item.get_closest_marker("slow"):
+            item.add_marker("quick")
+
+
 @pytest.fixture(autouse=True, scope="module")
 def _room_for_compiled_code():
     """Forget what was compiled before the kernel refuses XLA more memory, which is a crash."""
@@ -149,7 +169,11 @@ def small_branch():
 def public_names():
     """Everything public by name: `simulate`, and `history.History` of the room that holds it."""
     found = {name: getattr(vj, name) for name in dir(vj) if not name.startswith("_")}
-    rooms = {name: room for name, room in vars(vj).items() if hasattr(room, "__path__")}
+    rooms = {
+        name: room
+        for name, room in vars(vj).items()
+        if hasattr(room, "__path__") and room.__name__ == f"vibrojax.{name}"
+    }
     for name, room in rooms.items():
         for own, value in vars(room).items():
             if inspect.isclass(value) or inspect.isfunction(value):

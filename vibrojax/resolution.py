@@ -77,9 +77,11 @@ class ResolutionCheck(eqx.Module):
 
         Raises `ValueError` when nothing was varied.
         """
+        if not self.moved:
+            raise ValueError("Nothing was varied: there is nothing to draw.")
         from vibrojax.plot.resolution import plot_resolution
 
-        return plot_resolution(self)
+        return plot_resolution(self.to_xarray())
 
     def __repr__(self) -> str:
         lines = ["ResolutionCheck (relative change)"]

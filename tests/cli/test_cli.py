@@ -133,7 +133,7 @@ def test_a_failure_while_writing_leaves_nothing(folder, monkeypatch, capsys):
     def fail(*_, **__):
         raise OSError(28, "No space left on device", "sweep.png")
 
-    monkeypatch.setattr("vibrojax.plot.style.plot_frequency_response", fail)
+    monkeypatch.setattr("vibrojax.plot.frequency_response.plot_frequency_response", fail)
     Path("sweep.nc").write_text("older")
     assert run("sweep", "--frequency-ratio", "1.0", "1.3", "7") == 1
     assert capsys.readouterr().err == "vibrojax: No space left on device: sweep.png.\n"

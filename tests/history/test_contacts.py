@@ -67,7 +67,13 @@ def released(case, **settings):
     return vj.simulate(rig, release=case["x0"], duration=0.5, **settings)
 
 
-@pytest.mark.parametrize("number", range(len(REFERENCE["free"])))
+@pytest.mark.parametrize(
+    "number",
+    [
+        n if n < 6 else pytest.param(n, marks=pytest.mark.slow)
+        for n in range(len(REFERENCE["free"]))
+    ],
+)
 def test_releases_agree_with_the_reference(number):
     case = REFERENCE["free"][number]
     history = released(case)
@@ -129,7 +135,7 @@ def test_largest_force_of_the_start_up_agrees_with_the_reference():
         assert largest == pytest.approx(case["peak_force_transient"], rel=5e-3)
 
 
-@pytest.mark.parametrize("tension", [True, False])
+@pytest.mark.parametrize("tension", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_kelvin_voigt_returns_what_its_closed_form_says(strike, tension):
     k, z = 50e3, 0.2
     contacts = strike(vj.KelvinVoigt(k, 2 * z * math.sqrt(k), tension)).contacts()
@@ -171,6 +177,7 @@ def test_hertz_takes_as_long_as_it_should_and_loses_nothing(strike):
     np.testing.assert_allclose(contacts.energy_lost, 0.0, atol=1e-6 * speed**2)
 
 
+@pytest.mark.slow
 def test_rubber_agrees_with_its_matrix_exponential(strike):
     k, maxwell, lag = 50e3, 30e3, 5e-3
     history = strike(vj.StandardLinearSolid(k, maxwell, lag))

@@ -187,7 +187,7 @@ def test_dataset_spectrum_and_picture_of_what_is_not_linear(swing, tmp_path):
     ):
         swing.spectrum("bearing_angle", units="m")
     figure = swing.plot("bearing_angle")
-    assert "[rad]" in figure.axes[0].get_ylabel()
+    assert "(rad)" in figure.axes[0].get_ylabel()
     figure.savefig(tmp_path / "angle.png")
     assert swing.poincare("bearing_angle", 0.0).values[rate_name("bearing_angle")][0] > 0
 

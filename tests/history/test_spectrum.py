@@ -197,7 +197,7 @@ def test_folded_lines_are_told_by_their_acceleration():
 def driven(rig):
     # Damped enough to be periodic after 20 periods.
     return vj.simulate(
-        rig(damping_ratio=0.06, gap=0.1e-3),
+        rig(damping_ratio=0.06, gap=0.1e-3, num_modes=2),
         frequency_ratio=1.1,
         periods=40,
         samples_per_period=256,
@@ -224,7 +224,9 @@ def test_a_driven_rig_shows_its_harmonics(driven, rig):
     drive = 1.1 * float(vj.modes(rig().beam).frequency[0])
     spectrum = driven.spectrum("acceleration", start=1.9, segment=20 / drive, units="g")
     assert spectrum.drive_frequency == pytest.approx(drive)
-    assert spectrum.natural_frequencies == pytest.approx(np.asarray(rig().modes().frequency))
+    assert spectrum.natural_frequencies == pytest.approx(
+        np.asarray(rig(num_modes=2).modes().frequency)
+    )
     peaks = spectrum.peaks(8)
     assert peaks[0].name == "drive"
     assert peaks == sorted(peaks, key=lambda peak: -peak.amplitude)
@@ -268,8 +270,8 @@ def test_dataset_and_picture(driven, tmp_path):
     figure = spectrum.plot(span=300, count=6)
     figure.savefig(tmp_path / "spectrum.png")
     (axes,) = figure.axes
-    assert axes.get_xlabel() == "Frequency [Hz]"
-    assert axes.get_ylabel() == "Acceleration at x/L = 1,\npeak amplitude [g]"
+    assert axes.get_xlabel() == "Frequency (Hz)"
+    assert axes.get_ylabel() == "Acceleration at x/L = 1,\npeak amplitude (g)"
     assert axes.get_yscale() == "log"
     for part in ("hann", "averages of 1 s", "resolution 1 Hz"):
         assert part in axes.get_title("left")

@@ -18,12 +18,6 @@ DEVIATION = {
 }
 
 
-def make_rig(stiffness=5500.0, gap=0.4e-3, damping_ratio=0.018, damping=5e-5):
-    return vj.default_rig(
-        stiffness=stiffness, gap=gap, damping_ratio=damping_ratio, damping=damping, num_modes=1
-    )
-
-
 def sampled(history, channels, part, position=None):
     signals = {name: np.asarray(history.quantity(name, position))[part] for name in channels}
     return np.asarray(history.time)[part], signals
@@ -32,7 +26,7 @@ def sampled(history, channels, part, position=None):
 def settled(channels, *, samples, ratio=1.1, settling=600, position=None, **numbers):
     """The last two drive periods, timed from the start of a drive period."""
     history = vj.simulate(
-        make_rig(**numbers),
+        vj.default_rig(**numbers),
         frequency_ratio=ratio,
         periods=settling + 2,
         samples_per_period=samples,
@@ -42,7 +36,7 @@ def settled(channels, *, samples, ratio=1.1, settling=600, position=None, **numb
     return time - time[0], signals
 
 
-def misfit(time, signals, make=make_rig, *, names=NAMES, fixed=FIXED, **facts):
+def misfit(time, signals, make=vj.default_rig, *, names=NAMES, fixed=FIXED, **facts):
     deviation = {name: DEVIATION[name] for name in signals}
     history = MeasuredHistory(time=time, deviation=deviation, **signals, **facts)
     return HistoryMisfit(make, names, fixed, {}, [history])
@@ -105,6 +99,7 @@ def test_nonsense_lane_leaves_its_neighbour_alone(shifted):
 
 
 @pytest.mark.slow
+@pytest.mark.long  # to compile
 def test_steady_motion_without_shift_at_a_place_in_space():
     channels = ("displacement", "velocity", "acceleration")
     time, signals = settled(channels, samples=40, position=0.7)
@@ -121,16 +116,17 @@ def test_steady_motion_without_shift_at_a_place_in_space():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("start", [0.0, 1e-2])
 def test_either_of_two_steady_motions_is_found(start):
     """Between the folds a free motion and one with contact coexist."""
-    rig = make_rig()
+    rig = vj.default_rig()
     history = vj.simulate(
         rig,
         frequency_ratio=1.15,
         periods=302,
         samples_per_period=32,
-        initial_state=(rig.static_shape(-start), np.zeros(1)),
+        initial_state=(rig.static_shape(-start), np.zeros(5)),
         gradient="forward",
     )
     time, signals = sampled(history, ("displacement", "contact_force"), slice(-65, -1))
@@ -143,6 +139,7 @@ def test_either_of_two_steady_motions_is_found(start):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("late", [0.0, 2.3e-3])
+@pytest.mark.long  # to compile
 def test_free_release_against_the_stop(late):
     history = vj.simulate(
         undriven(*TRUE, 5e-5), release=-3e-3, duration=0.3, samples=150, gradient="forward"
@@ -161,11 +158,7 @@ def test_free_release_against_the_stop(late):
 @pytest.mark.parametrize("aligned", [False, True])
 def test_driven_from_rest(aligned):
     history = vj.simulate(
-        make_rig(),
-        frequency_ratio=1.1,
-        periods=8,
-        samples_per_period=32,
-        gradient="forward",
+        vj.default_rig(), frequency_ratio=1.1, periods=8, samples_per_period=32, gradient="forward"
     )
     time, signals = sampled(history, ("displacement", "velocity"), slice(64, None))
     late = 4e-3 if aligned else 0.0
@@ -177,14 +170,15 @@ def test_driven_from_rest(aligned):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_stops_that_are_not_linear():
     """Contact that only the splitting can step, at the splitting's own error."""
 
     def make(stiffness, gap, damping_ratio):
-        rig = make_rig()
+        rig = vj.default_rig()
         law = vj.KelvinVoigt(stiffness, 5e-5)
         stop = vj.Stop(0.5, gap, law, smoothing=1e-4)
-        return vj.ImpactingBeam(rig.beam, (stop,), rig.drive, damping_ratio, num_modes=1)
+        return vj.ImpactingBeam(rig.beam, (stop,), rig.drive, damping_ratio=damping_ratio)
 
     history = vj.simulate(
         make(*TRUE), frequency_ratio=1.0, periods=200, samples_per_period=32, tolerance=1e-4
@@ -201,8 +195,8 @@ TIME, SIGNALS = np.linspace(0.0, 0.1, 20), {"displacement": np.sin(np.linspace(0
 
 
 def undriven(stiffness, gap, damping_ratio, damping):
-    rig = make_rig(stiffness, gap, damping=damping)
-    return vj.ImpactingBeam(rig.beam, rig.stops, damping_ratio=damping_ratio, num_modes=1)
+    rig = vj.default_rig(stiffness=stiffness, gap=gap, damping=damping)
+    return vj.ImpactingBeam(rig.beam, rig.stops, damping_ratio=damping_ratio)
 
 
 def masses(stiffness, gap, damping_ratio, damping):
@@ -227,7 +221,7 @@ def masses(stiffness, gap, damping_ratio, damping):
         (undriven, {"frequency": 10.0}, "no drive"),
         (masses, {"frequency": 10.0, "position": 0.5}, "only a beam has positions"),
         (masses, {"release": 1e-3}, "release is for the tip"),
-        (make_rig, {"frequency": 10.0, "window": (0.2, 0.3)}, "window must be"),
+        (vj.default_rig, {"frequency": 10.0, "window": (0.2, 0.3)}, "window must be"),
     ],
 )
 def test_refusals(make, facts, words):
@@ -239,4 +233,4 @@ def test_repetitions_have_the_same_samples():
     whole = MeasuredHistory(time=TIME, frequency=10.0, **SIGNALS)
     part = MeasuredHistory(time=TIME, frequency=10.0, window=(0.0, 0.05), **SIGNALS)
     with pytest.raises(ValueError, match="as many samples"):
-        HistoryMisfit(make_rig, NAMES, FIXED, {}, [whole, part])
+        HistoryMisfit(vj.default_rig, NAMES, FIXED, {}, [whole, part])

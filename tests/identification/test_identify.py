@@ -109,6 +109,7 @@ def test_residuals_are_distances_over_the_deviation(fit):
         fit.residuals("up")
 
 
+@pytest.mark.slow
 def test_the_derivative_of_the_misfit(make, name):
     data = measured(name=name)
     misfit = CurveMisfit(make, ("stiffness", "damping"), {}, {}, [data])
@@ -135,6 +136,7 @@ def test_the_derivative_of_the_misfit(make, name):
     assert np.isfinite(derivative).all()
 
 
+@pytest.mark.slow
 def test_an_early_jump_biases_nothing_and_is_named(make, name):
     data = measured(3, name=name)
     amplitude = data.amplitude.copy()
@@ -242,6 +244,46 @@ def test_optax_and_the_other_objectives(make, name, fit):
     for objective in ("pointwise", "folds"):
         other = vj.identify(make, measured(name=name), GUESS, objective=objective)
         assert other.estimate["stiffness"] == pytest.approx(5500, rel=0.04)
+
+
+@pytest.fixture(scope="module")
+def one_mode(rig):
+    """Maker of a rig with one mode, and a noisy sweep of it."""
+
+    def make(stiffness=5500.0):
+        return rig(stiffness=stiffness, num_modes=1)
+
+    swept = vj.frequency_sweep(make(), frequency_ratio=np.linspace(0.85, 1.45, 40))
+    data = vj.read_measured_curve(swept.to_xarray())
+    deviation = np.hypot(0.02 * data.amplitude, 0.05)
+    scatter = deviation * np.random.default_rng(2).standard_normal(data.size)
+    noisy = vj.MeasuredCurve(
+        data.frequency,
+        "frequency_ratio",
+        amplitude=np.abs(data.amplitude + scatter),
+        amplitude_deviation=deviation,
+        direction=data.direction,
+    )
+    return make, noisy
+
+
+@pytest.mark.slow
+def test_every_objective_and_search_on_one_mode(one_mode):
+    adam = vj.Optax(optax.adam(0.02), steps=60)
+    for more in ({"objective": "pointwise"}, {"objective": "folds"}, {"search": adam}):
+        fit = vj.identify(*one_mode, dict(stiffness=5000.0), **more)
+        assert fit.estimate["stiffness"] == pytest.approx(5500, rel=0.04), more
+
+
+@pytest.mark.slow
+def test_profile_and_posterior_agree_with_the_interval_on_one_mode(one_mode):
+    pytest.importorskip("blackjax")
+    fit = vj.identify(*one_mode, dict(stiffness=5000.0))
+    low, high = fit.interval["stiffness"]
+    assert low < 5500 < high
+    near = 0.25 * (high - low)
+    np.testing.assert_allclose(fit.profile("stiffness").interval, (low, high), atol=near)
+    np.testing.assert_allclose(fit.sample(1000).interval["stiffness"], (low, high), atol=near)
 
 
 def test_what_it_refuses(make, name):

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -140,7 +141,7 @@ def test_settings_go_into_a_sweep(tmp_path):
     more = 'direction = "both"\nrefine_jumps = false\nmax_period = 8\nmax_periods = 50\n'
     system, settings = vj.io.read_rig(write(tmp_path, DEFAULT + more))
     assert settings["refine_jumps"] is None
-    response = vj.frequency_sweep(system, **settings)
+    response = vj.frequency_sweep(replace(system, num_modes=1), **settings)
     assert response.amplitude_ratio.shape == (2, 4)
 
 

@@ -209,8 +209,8 @@ def cluster(monkeypatch, environment):
 
 
 @pytest.mark.slow
-@pytest.mark.long  # to compile
-def test_workers_of_a_cluster_may_be_killed(tmp_path, cluster, whole):
+@pytest.mark.parametrize("deaths", [0, pytest.param(4, marks=pytest.mark.long)])
+def test_workers_of_a_cluster_may_be_killed(tmp_path, cluster, whole, deaths):
     from distributed import Client
 
     choice = random.Random(3)
@@ -218,7 +218,7 @@ def test_workers_of_a_cluster_may_be_killed(tmp_path, cluster, whole):
     kills = []
 
     def kill():
-        for _ in range(4):
+        for _ in range(deaths):
             least = chunks_in(store) + choice.randint(0, 2)
             while chunks_in(store) <= least:
                 time.sleep(1e-3)
@@ -232,7 +232,7 @@ def test_workers_of_a_cluster_may_be_killed(tmp_path, cluster, whole):
     with Client(cluster) as client:
         killer.start()
         make_map(store, LANES, client=client)
-    assert len(set(kills)) >= 3
+    assert len(set(kills)) >= min(deaths, 3)
     assert_same_store(store, whole)
 
 

@@ -28,7 +28,7 @@ from pathlib import Path
 from vibrojax.maps.lock import held
 with held(Path(sys.argv[1]), "map"):
     print("held", flush=True)
-    time.sleep(60)
+    time.sleep(3600)  # until it is killed
 """
 
 

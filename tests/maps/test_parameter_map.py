@@ -10,12 +10,12 @@ import xarray
 
 import vibrojax as vj
 
-GRID = np.array([1.02, 1.1, 1.18, 1.26])
+GRID = np.array([1.02, 1.1, 1.18, 1.5])
 GAPS, TAPERS = [3e-4, 4e-4, 6e-4], [0.0, 0.5]
 SWEEP = vj.SettledSweep(tolerance=1e-6, refine_jumps=1e-3, max_periods=300)
 
 
-def rig(taper=0.5, gap=4e-4, stiffness=5500.0, formulation="consistent", num_modes=2):
+def rig(taper=0.5, gap=4e-4, stiffness=5500.0, formulation="consistent", num_modes=1):
     return vj.default_rig(
         taper=taper,
         gap=gap,

@@ -113,8 +113,8 @@ def test_history_of_the_same_beam(pair):
     with pytest.raises(ValueError, match=r"^Only the history of a beam has a position"):
         ours.displacement(1.0)
     np.testing.assert_array_equal(ours.to_xarray()["displacement"], ours.displacement())
-    assert ours.plot().axes[0].get_ylabel() == "Displacement [m]"
-    assert wanted.plot().axes[0].get_ylabel() == "Displacement at x/L = 1 [m]"
+    assert ours.plot().axes[0].get_ylabel() == "Displacement (mm)"
+    assert wanted.plot().axes[0].get_ylabel() == "Displacement at x/L = 1\n(mm)"
 
 
 @pytest.mark.slow

@@ -140,6 +140,7 @@ def test_end_conditions_orthogonality_and_momentum(taper, mass_ratio):
 
 
 @pytest.mark.parametrize("taper", [0.99, 0.999])
+@pytest.mark.slow
 def test_slender_tip(taper):
     # The taper 0.999 is past what is promised: it must still be close.
     found = modes(beam(taper, 1.0), N)
@@ -147,6 +148,7 @@ def test_slender_tip(taper):
     np.testing.assert_allclose(found.beta, elements.beta, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_twenty_modes_are_all_there():
     found = np.asarray(modes(beam(0.9, 1.0), 20).beta)
     np.testing.assert_allclose(np.diff(found)[3:], np.pi, rtol=0.05)
@@ -197,6 +199,7 @@ FLAT_REVERSE = jax.jit(jax.jacrev(flat, (0, 1)))
 @pytest.mark.parametrize(
     ("taper", "mass_ratio"), [(0.0, 0.0), (0.0, 1.0), (0.5, 0.0), (0.5, 0.5), (0.8, 5.0)]
 )
+@pytest.mark.slow
 def test_gradients(taper, mass_ratio):
     forward = FLAT_FORWARD(taper, mass_ratio)
     by_taper = difference(lambda x: flat(x, mass_ratio), taper, 0.0)

@@ -55,6 +55,7 @@ def betas(num_modes, masses, positions, taper, mass_ratio):
     return vj.modes(beam(masses, positions, taper, mass_ratio), num_modes).beta
 
 
+@pytest.mark.slow
 def test_every_mode_is_found_once():
     rng, rigs, elements = np.random.default_rng(5), 40, 48
     masses = 10 ** rng.uniform(-2, np.log10(20), (rigs, 4))

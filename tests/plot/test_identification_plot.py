@@ -3,11 +3,12 @@ import sys
 import numpy as np
 import pytest
 
-from vibrojax.identification.identification import Identification, Prediction
+from vibrojax.identification.fitted_data import Prediction
+from vibrojax.identification.identification import Identification
 from vibrojax.identification.profile import Profile
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.history import MeasuredHistory
-from vibrojax.plot.identification import plot_identification, plot_profile, plot_profiles
+from vibrojax.plot.profiles import plot_profiles
 
 # A curve that leans to the right: up to 1.2, back to 1.1, and on.
 CURVE = np.r_[np.linspace(0.9, 1.2, 31), np.linspace(1.19, 1.1, 10), np.linspace(1.11, 1.3, 20)]
@@ -122,7 +123,7 @@ def test_a_curve():
 
 
 def test_the_curve_is_whole_and_dashed_between_its_folds():
-    axes = plot_identification(fitted()).axes[0]
+    axes = fitted().plot().axes[0]
     solid = [line for line in lines(axes, "-") if len(line.get_xdata()) > 5]
     (back,) = [line for line in lines(axes, "--") if len(line.get_xdata()) > 5]
     assert [len(line.get_xdata()) for line in solid] == [31, 21]
@@ -138,14 +139,14 @@ def test_the_curve_is_whole_and_dashed_between_its_folds():
 def test_a_break_is_not_bridged():
     made = prediction(curve())
     made.continues[20] = False
-    axes = plot_identification(fitted(predictions=(made,))).axes[0]
+    axes = fitted(predictions=(made,)).plot().axes[0]
     solid = [line for line in lines(axes, "-") if len(line.get_xdata()) > 5]
     assert [len(line.get_xdata()) for line in solid] == [21, 10, 21]
 
 
 def test_directions_have_their_own_markers():
     measured = curve(direction=np.r_[np.zeros(5, int), np.ones(5, int), -np.ones(10, int)])
-    figure = plot_identification(fitted((measured,)))
+    figure = fitted((measured,)).plot()
     for axes in figure.axes[:2]:
         counts = {k.get_marker(): len(k.get_xdata()) for k in axes.lines if len(k.get_xdata()) > 2}
         assert (counts[">"], counts["<"], counts["o"]) == (5, 10, 5)
@@ -164,7 +165,7 @@ def test_units_and_contact_force():
         parameters={"gap": 4e-4},
         label="run 3",
     )
-    figure = plot_identification(fitted((measured,), (prediction(measured, True, 9.0),)))
+    figure = fitted((measured,), (prediction(measured, True, 9.0),)).plot()
     top, force, residuals, _ = figure.axes
     assert top.get_ylabel().replace("\n", " ") == "Absolute acceleration, root mean square (m/s2)"
     assert force.get_ylabel() == "Largest contact force (N)"
@@ -175,14 +176,14 @@ def test_units_and_contact_force():
 
 def test_force_alone():
     measured = curve(amplitude=None, contact_force=np.linspace(0.0, 5.0, 20))
-    figure = plot_identification(fitted((measured,)))
+    figure = fitted((measured,)).plot()
     assert figure.axes[0].get_ylabel() == "Largest contact force (N)"
     assert len(figure.axes) == 3
 
 
 def test_warnings_are_their_first_sentences():
     many = ("The sweep jumped early: 3 points at 1.2. Its place says nothing.", "b.", "c.", "d.")
-    written = texts(plot_identification(fitted(warnings=many)).axes[-1])
+    written = texts(fitted(warnings=many).plot().axes[-1])
     assert "Warning: The sweep jumped early: 3 points at 1.2." in written
     assert written[-1] == "and 1 more warning: print the fit to read them."
 
@@ -190,7 +191,7 @@ def test_warnings_are_their_first_sentences():
 def test_a_long_sentence_stays_in_the_picture():
     long = "not identifiable: " + "the data know it only with others, " * 8
     fit = fitted(identifiability={"stiffness": long, "damping": "identifiable"})
-    figure = plot_identification(fit)
+    figure = fit.plot()
     figure.canvas.draw()
     for text in figure.axes[-1].texts:
         box = text.get_window_extent()
@@ -202,7 +203,7 @@ def test_a_curve_that_was_lost():
     empty = {"channels": np.zeros((0, 1)), "folds": {}}
     none = {name: np.zeros(0, bool) for name in ("unstable", "continues")}
     made = prediction(curve(), frequency=np.zeros(0), **empty, **none)
-    figure = plot_identification(fitted(predictions=(made,)))
+    figure = fitted(predictions=(made,)).plot()
     assert "fitted" not in legend(figure)
     figure.canvas.draw()
 
@@ -233,7 +234,7 @@ def test_a_history_among_others():
 @pytest.mark.parametrize("measurement", [1, -1])
 def test_no_such_measurement(measurement):
     with pytest.raises(ValueError, match="measurement must be"):
-        plot_identification(fitted(), measurement)
+        fitted().plot(measurement)
 
 
 def test_a_profile():
@@ -254,19 +255,20 @@ def test_a_profile():
 
 
 def test_a_profile_over_decades():
-    axes = plot_profile(profile("damping", np.geomspace(1e-5, 1.0, 9))).axes[0]
+    axes = profile("damping", np.geomspace(1e-5, 1.0, 9)).plot().axes[0]
     assert axes.get_xscale() == "log"
     low, high = axes.get_ylim()
     assert low < 0.0 < 6.25 < high
 
 
 def test_a_profile_that_reaches_zero_is_linear():
-    assert plot_profile(profile("damping", np.linspace(0, 1, 9))).axes[0].get_xscale() == "linear"
+    assert profile("damping", np.linspace(0, 1, 9)).plot().axes[0].get_xscale() == "linear"
 
 
 def test_profiles_share_their_height():
     steep = profile("gap", rise=np.linspace(-4.0, 4.0, 9) ** 2)
-    figure = plot_profiles([profile(), steep, profile("damping"), profile("taper"), profile("e")])
+    many = [profile(), steep, profile("damping"), profile("taper"), profile("e")]
+    figure = plot_profiles([one.to_xarray() for one in many])
     shown = [axes for axes in figure.axes if axes.axison]
     assert [axes.get_xlabel()[:-5] for axes in shown] == [
         "stiffness",
@@ -283,5 +285,5 @@ def test_profiles_share_their_height():
 
 
 def test_pictures_need_no_pyplot():
-    plot_identification(fitted())
+    fitted().plot()
     assert "matplotlib.pyplot" not in sys.modules

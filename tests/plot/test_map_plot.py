@@ -442,7 +442,9 @@ def test_axes_of_names_are_labelled_with_them():
     assert [t.get_text() for t in axes.get_xticklabels()] == ["consistent", "as_printed"]
     assert axes.get_xlabel() == "Formulation"
     assert plot_map(both, formulation="as_printed").get_suptitle() == "formulation = as_printed"
-    with pytest.raises(ValueError, match="must be one of consistent, as_printed, got 'printed'"):
+    with pytest.raises(
+        ValueError, match="must be one of 'consistent', 'as_printed', got 'printed'"
+    ):
         plot_map(both, formulation="printed")
 
 
@@ -487,7 +489,10 @@ def test_repeated_values_are_drawn_one_by_one():
         ({"gap": [1e-4, 2e-4]}, "gap must be one number"),
         ({"gapp": 1.0}, "Unknown axis 'gapp'"),
         ({"direction": "forward"}, "peak_amplitude_ratio does not depend on direction"),
-        ({"variable": "amplitude_ratio", "direction": "up"}, "one of forward, backward, got 'up'"),
+        (
+            {"variable": "amplitude_ratio", "direction": "up"},
+            "one of 'forward', 'backward', got 'up'",
+        ),
         ({"x": "gap", "gap": 1e-4}, "is an axis of the picture and gap a selection along it"),
         ({"gap": 1e-4, "taper": 0.0}, "has a single value there"),
     ],

@@ -152,7 +152,7 @@ def test_one_axis_is_lines_of_colours():
 
 def test_many_lines_have_a_colour_bar():
     figure = response(axes={"gap": np.linspace(1e-4, 1e-3, 12)}).plot()
-    assert figure.axes[1].get_ylabel() == "gap"
+    assert figure.axes[1].get_ylabel() == "Gap (m)"
     assert not any("gap" in text for text in legend(figure))
 
 

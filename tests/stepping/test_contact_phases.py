@@ -172,7 +172,14 @@ def test_forced_response_of_every_phase(equations, phases):
         )
 
 
-@pytest.mark.parametrize("which", ["light", "two overdamped", "one mass overdamped"])
+@pytest.mark.parametrize(
+    "which",
+    [
+        pytest.param("light", marks=pytest.mark.slow),
+        pytest.param("two overdamped", marks=pytest.mark.slow),
+        "one mass overdamped",
+    ],
+)
 @pytest.mark.parametrize("name", ["stiffness", "damping", "angular_frequency", "stop_map"])
 def test_derivative_of_the_propagators(rig, oscillator, which, name):
     equations = CASES[which](rig, oscillator)

@@ -9,6 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 
+from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.points import CURVES as CURVES
 from vibrojax.branches.points import BranchPoints
@@ -73,9 +74,25 @@ class Branch(BranchPoints):
         `sweep`, a `FrequencyResponse`, is laid over it. Raises `ValueError` for an unknown
         variable.
         """
-        from vibrojax.plot.branch import plot_branches
+        return _picture([self], variable, sweep)
 
-        return plot_branches([self], variable, sweep=sweep)
+
+def _picture(
+    branches: Sequence[Branch], variable: str, sweep: FrequencyResponse | None = None
+) -> "Figure":
+    if variable not in CURVES:
+        raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, CURVES)}")
+    drawn = [b.to_xarray() for b in branches if len(b.values)]
+    if not drawn:
+        raise ValueError("None of the branches has a point to draw.")
+    laid = None if sweep is None else sweep.to_xarray()
+    if laid is not None and variable not in laid:
+        raise ValueError(f"A sweep has no {variable}: draw the branch without it.")
+    if sweep is not None and any(len(values) > 1 for values in sweep.axes.values()):
+        raise ValueError("sweep must be of one system: pick one value of every axis.")
+    from vibrojax.plot.branch import plot_branches
+
+    return plot_branches(drawn, variable, laid)
 
 
 class Branches(eqx.Module):
@@ -146,9 +163,7 @@ class Branches(eqx.Module):
         `variable` is a name of a curve, such as `contact_force`. Raises `ValueError` for
         another, or when there is nothing to draw.
         """
-        from vibrojax.plot.branch import plot_branches
-
-        return plot_branches(list(self.branches), variable)
+        return _picture(self.branches, variable)
 
     def __repr__(self) -> str:
         shape = ", ".join(f"{name}: {len(v)}" for name, v in self.axes.items())

@@ -128,9 +128,13 @@ class Coexisting(eqx.Module):
 
         Dots mark the drive phase 0. Raises `ValueError` when no periodic motion was found.
         """
+        if not self.motions:
+            raise ValueError("No periodic motion was found: there is nothing to draw.")
+        histories = [self.history(k, samples_per_period=256) for k in range(len(self.motions))]
+        orbits = [(np.asarray(h.displacement()), np.asarray(h.velocity())) for h in histories]
         from vibrojax.plot.coexisting import plot_coexisting
 
-        return plot_coexisting(self)
+        return plot_coexisting(self.to_xarray(), orbits, 256)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset over `motion`, from 1, and `start`, with units and long names."""

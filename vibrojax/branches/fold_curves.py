@@ -59,13 +59,16 @@ class FoldCurve(eqx.Module):
         for name in ("amplitude_ratio", "contact_force"):
             described = described_as(name, self.ratio_units)
             data[name] = ("point", getattr(self, name), described)
-        return xarray.Dataset(data, attrs={"title": "vibrojax fold curve"})
+        attributes = {"title": "vibrojax fold curve", "parameter": self.parameter}
+        attributes |= {"axis": self.axis}
+        attributes |= dict(zip(("low_ending", "high_ending"), self.endings, strict=True))
+        return xarray.Dataset(data, attrs=attributes)
 
     def plot(self) -> "Figure":
         """Draw the frequency of the fold against the second number."""
         from vibrojax.plot.branch import plot_fold_curves
 
-        return plot_fold_curves([self])
+        return plot_fold_curves([self.to_xarray()])
 
     def __repr__(self) -> str:
         low, high = self.values[[0, -1]]
@@ -129,9 +132,11 @@ class FoldCurves(eqx.Module):
 
         Raises `ValueError` when there is no fold.
         """
+        if not self.curves:
+            raise ValueError("There are no folds to draw.")
         from vibrojax.plot.branch import plot_fold_curves
 
-        return plot_fold_curves(self.curves)
+        return plot_fold_curves([curve.to_xarray() for curve in self.curves])
 
     def __repr__(self) -> str:
         lines = [f"FoldCurves({len(self.curves)} folds along {self.parameter})"]

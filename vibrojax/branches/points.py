@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
-from vibrojax.results.variables import VARIABLES, axis_description, axis_unit
+from vibrojax.results.variables import axis_description, axis_unit, described_as
 from vibrojax.steady.paths import AbstractPath
 
 if TYPE_CHECKING:
@@ -172,36 +172,34 @@ class BranchPoints(eqx.Module):
         """Return a dataset along `point`, with units, long names and the rig in its attributes."""
         import xarray
 
-        units = {"ratio": self.ratio_units, "axis": axis_unit(self.axis)}
+        axis_units = axis_unit(self.axis)
 
         def described(name: str) -> dict[str, Any]:
-            unit, long_name = VARIABLES[name]
-            return {"units": units.get(unit, unit), "long_name": long_name}
+            return described_as(name, self.ratio_units, axis_units)
 
         data: dict[str, Any] = {
             name: ("point", np.asarray(getattr(self, name)), described(name)) for name in CURVES
         }
-        data["exact_points"] = (
-            "point",
-            self.exact_points.astype(np.int8),
-            described("exact_points"),
-        )
-        data["stable"] = ("point", self.stable.astype(np.int8), described("stable"))
+        for name in ("exact_points", "stable"):
+            data[name] = ("point", getattr(self, name).astype(np.int8), described(name))
         for part, values in (
             ("real", np.real(self.floquet_multipliers)),
             ("imaginary", np.imag(self.floquet_multipliers)),
         ):
             name = f"floquet_multiplier_{part}"
             data[name] = (("point", "multiplier"), values, described(name))
-        data["initial_state"] = (
-            ("point", "state"),
-            self.initial_state,
-            {"units": "m, m/s", "long_name": "Modal displacements, then velocities, at phase 0"},
-        )
+        states = (("point", "state"), self.initial_state, described("initial_state"))
+        data["initial_state"] = states
         for kind in SPECIAL:
-            label = kind.replace("_", " ").capitalize()
-            where = {"units": units["axis"], "long_name": f"{label} of {self.axis}"}
-            data[kind] = (kind[:-1], getattr(self, kind), where)
+            label, dim = kind.replace("_", " ").capitalize(), kind[:-1]
+            own = [point for point in self.special_points if point.kind == dim]
+            where = {"units": axis_units, "long_name": f"{label} of {self.axis}"}
+            after = {"units": "1", "long_name": "Index of the point before it"}
+            data[kind] = (dim, getattr(self, kind), where)
+            data[f"{dim}_after"] = (dim, np.array([p.after for p in own], int), after)
+            for name in ("amplitude_ratio", "contact_force"):
+                values = np.array([getattr(p, name) for p in own], float)
+                data[f"{dim}_{name}"] = (dim, values, described(name))
         coordinates: dict[str, Any] = {
             self.axis: ("point", self.values, axis_description(self.axis)),
             "arclength": ("point", self.arclength, described("arclength")),
@@ -209,6 +207,7 @@ class BranchPoints(eqx.Module):
         for name, value in self.labels.items():
             coordinates[name] = ((), value, axis_description(name))
         attributes = dict(self.attributes) | {
+            "axis": self.axis,
             "status": self.status,
             "sentence": self.sentence,
             "period": self.period,

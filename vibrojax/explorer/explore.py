@@ -17,10 +17,12 @@ from vibrojax.explorer.explorer import Explorer, Measurement
 from vibrojax.explorer.live_curve import CurveTracer
 from vibrojax.explorer.sliders import Slider
 from vibrojax.identification.curve_misfit import sensor_of
+from vibrojax.identification.fitted_data import described_amplitude
 from vibrojax.identification.sensor import Sensor
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.reading import read_measured_curve
 from vibrojax.model.systems import AbstractSystem
+from vibrojax.results.variables import label_of, with_unit
 from vibrojax.stepping.choice import is_exact
 
 QUANTITIES = {
@@ -103,8 +105,6 @@ def explore(
             at = fixed | starts | {name: end}
             sample = along_of(make_system, *_frequencies(axis, low, high), at).sample
     assert sample is not None
-    from vibrojax.plot.style import label_of
-
     force = variable == "contact_force"
     sensor = Sensor(quantity=QUANTITIES[variable], with_force=True)
     y_label = label_of(variable, sample.drive.reference[1])
@@ -113,9 +113,8 @@ def explore(
         force = first.amplitude is None
         y_label = label_of("contact_force")
         if not force:
-            from vibrojax.plot.identification import amplitude_label
-
-            y_label = amplitude_label(first)
+            described = described_amplitude(first)
+            y_label = with_unit(described["long_name"], described["units"])
             sensor = dataclasses.replace(sensor_of(first), with_force=True)
     drawn = tuple(
         Measurement(m, np.asarray(m.contact_force if force else m.amplitude)) for m in points

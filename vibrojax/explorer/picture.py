@@ -22,16 +22,15 @@ from vibrojax.explorer.live_curve import LiveCurve
 from vibrojax.explorer.live_orbit import LiveOrbit, orbit_at
 from vibrojax.explorer.swept_curve import swept_curve
 from vibrojax.measured.curve import DIRECTIONS, MeasuredCurve
-from vibrojax.plot.style import COLORS, GREY, MARKERS
+from vibrojax.plot.style import COLORS, DASHES, GREY, MARKERS, SMALL, balanced, dress, name_axes
 
 SIZE, DPI = (11.0, 5.2), 100
-LABEL, SMALL = 12, 10
+"""Of a picture that is drawn again and again: more dots would take longer."""
 SHADES = 24
 """Of a colour, down to white: more would look white."""
 PLACES = 25
 """Frequencies at which a sweep has its marker."""
-BRANCH, ORBIT = "black", "#8a2be2"
-DASHES = (0, (4, 2))
+BRANCH, ORBIT = COLORS["black"], COLORS["violet"]
 
 
 class LivePicture:
@@ -41,7 +40,7 @@ class LivePicture:
     """
 
     def __init__(self, x: tuple[float, float], x_label: str, y_label: str, rows: int = 1):
-        self._rows = rows
+        self._rows, y_label = rows, balanced(y_label)
         self.figure = Figure(figsize=SIZE, dpi=DPI)
         self.canvas = FigureCanvasAgg(self.figure)
         left, top = 0.065 + 0.02 * y_label.count("\n"), 0.95 - 0.05 * rows
@@ -57,7 +56,8 @@ class LivePicture:
             (self.force, "Time (drive periods)", "Contact force (N)"),
         )
         for axes, below, beside in labels:
-            _dress(axes, below, beside)
+            dress(axes)
+            name_axes(axes, below, beside)
         self.response.set_xlim(*x)
         self.response.set_ylim(0.0, 1e-9)
         self.force.set_xlim(0.0, 1.0)
@@ -108,7 +108,7 @@ class LivePicture:
                     marker={1: "^", -1: "v"}.get(way, "s"),
                     markersize=8,
                     color=GREY,
-                    markerfacecolor="#c8c8c8",
+                    markerfacecolor=COLORS["light"],
                     linestyle="none",
                     zorder=1,
                     label=f"measured, {name}",
@@ -263,13 +263,3 @@ def _palette() -> Image.Image:
     palette = Image.new("P", (1, 1))
     palette.putpalette(np.round(255 * np.concatenate(shades)).astype(int).tolist())
     return palette
-
-
-def _dress(axes: Axes, below: str, beside: str) -> None:
-    axes.set_xlabel(below, fontsize=LABEL)
-    axes.set_ylabel(beside, fontsize=LABEL)
-    axes.tick_params(labelsize=SMALL)
-    axes.grid(True, color="#d9d9d9", linewidth=0.7)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)

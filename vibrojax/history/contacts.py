@@ -99,15 +99,15 @@ class Contacts:
         `columns` are names of fields; by default `peak_force` and `approach_speed`. Raises
         `ValueError` for an unknown column, or when there is no contact to draw.
         """
-        from vibrojax.plot.contacts import plot_contacts
-
         columns = columns or ("peak_force", "approach_speed")
         for name in columns:
             if name not in COLUMNS:
                 raise ValueError(f"Unknown column {name!r}. {nearest(str(name), COLUMNS)}")
         if not len(self):
             raise ValueError("There are no contacts to draw.")
-        return plot_contacts(self, columns)
+        from vibrojax.plot.contacts import plot_contacts
+
+        return plot_contacts(self.to_xarray(), columns)
 
     def __repr__(self) -> str:
         head = f"Contacts({len(self)})"

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax._tools.checks import check_not_negative, check_positive, concrete
+from vibrojax._tools.checks import check_count, check_not_negative, check_positive, concrete
 from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.history.crossings import check_whole, crossings, curve_of
@@ -213,9 +213,12 @@ class Cycles:
 
         Lines mark `orders` drive periods. Source of the picture: Litak et al., fig. 4.
         """
-        from vibrojax.plot.chirp import plot_cycles
+        for order in orders:
+            check_count("orders", order)
+        from vibrojax.plot.cycles import plot_cycles
 
-        return plot_cycles(self, tuple(orders))
+        quantity = unit_and_label(self.quantity)[1].lower()
+        return plot_cycles(self.to_xarray(), tuple(orders), quantity)
 
     def __repr__(self) -> str:
         count = len(self.threshold)

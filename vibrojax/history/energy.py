@@ -117,10 +117,10 @@ class EnergyFlow:
 
         Raises `ValueError` for another kind.
         """
+        check_choice("kind", kind, KINDS)
         from vibrojax.plot.energy import plot_energy
 
-        check_choice("kind", kind, KINDS)
-        return plot_energy(self, kind)
+        return plot_energy(self.to_xarray(), kind)
 
     def __repr__(self) -> str:
         shares = ", ".join(f"{100 * share:.3g}" for share in self.mean_share())

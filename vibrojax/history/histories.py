@@ -12,8 +12,9 @@ from vibrojax._tools.checks import check_count
 from vibrojax._tools.signatures import validated
 from vibrojax.history.cycles import Cycles, cycles_of_each
 from vibrojax.history.history import History
-from vibrojax.results.axes import coordinates_of, example, pick
-from vibrojax.results.variables import described_as
+from vibrojax.history.quantities import check_quantity, unit_and_label
+from vibrojax.results.axes import axis_scale, coordinates_of, example, pick
+from vibrojax.results.variables import described_as, with_unit
 
 if TYPE_CHECKING:
     import xarray
@@ -91,10 +92,22 @@ class Histories(eqx.Module):
 
         Raises `ValueError` for an unknown quantity, or `most` below 1.
         """
+        check_count("most", most)
+        check_quantity(self.lanes.motion.equations, quantity)
+        count = len(self)
+        scales = [axis_scale(self.axes, name) for name in self.axes]
+        lines = []
+        for k in np.unique(np.linspace(0, count - 1, min(most, count)).round()).astype(int):
+            history = self[int(k)]
+            place = np.unravel_index(k, self.shape) if scales else ()
+            words = (scale.labels[i] for scale, i in zip(scales, place, strict=True))
+            values = np.asarray(history.quantity(quantity, position))
+            lines.append((np.asarray(history.time), values, ", ".join(words)))
+        title = f"{len(lines)} of {count} histories" if len(lines) < count else ""
+        units, label = unit_and_label(quantity)
         from vibrojax.plot.histories import plot_histories
 
-        check_count("most", most)
-        return plot_histories(self, quantity, position, most)
+        return plot_histories(lines, with_unit(label, units), title)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return one dataset over the axes and what `History.to_xarray` has.

@@ -311,9 +311,10 @@ class History(SampledMotion):
         `quantity` and `position` are those of `History.quantity`. Raises `ValueError` for
         an unknown quantity, or a position where there is none.
         """
-        from vibrojax.plot.history import plot_history
+        from vibrojax.history.signals import signals_of
+        from vibrojax.plot.histories import plot_signals
 
-        return plot_history(self, quantity, position)
+        return plot_signals(np.asarray(self.time), signals_of(self, quantity, position))
 
     @validated
     def plot_chirp(self, *quantities: str) -> "Figure":
@@ -323,9 +324,10 @@ class History(SampledMotion):
         reduction, else the strain energy. Source: Litak et al., fig. 4. Raises `ValueError` for an
         unknown quantity, a system that nothing drives, or a history that holds lanes.
         """
-        from vibrojax.plot.chirp import plot_chirp
+        from vibrojax.history.signals import chirp_signals
+        from vibrojax.plot.histories import plot_signals
 
-        return plot_chirp(self, quantities)
+        return plot_signals(np.asarray(self.time), chirp_signals(self, quantities))
 
     def __repr__(self) -> str:
         *lanes, samples, coordinates = self.coordinates.shape

@@ -12,7 +12,7 @@ from vibrojax._tools.signatures import validated
 from vibrojax.history.crossings import check_whole, crossings, curve_of, curve_through
 from vibrojax.history.quantities import observable_motion, observables_of, unit_and_label
 from vibrojax.history.samples import SampledMotion
-from vibrojax.results.variables import described_as
+from vibrojax.results.variables import described_as, with_unit
 
 if TYPE_CHECKING:
     import xarray
@@ -76,11 +76,13 @@ class PoincareSection:
 
         `x` and `y` are names of variables of the dataset: of the abscissa and the ordinate.
         """
-        from vibrojax.plot.chirp import plot_section
-
-        rate = rate_name(self.quantity)
         x = (self.quantity if self.level is None else "drive_phase") if x is None else x
-        return plot_section(self, x, rate if y is None else y)
+        y = rate_name(self.quantity) if y is None else y
+        for name in (x, y):
+            self.column(name)
+        from vibrojax.plot.cycles import plot_section
+
+        return plot_section(self.to_xarray(), x, y)
 
     @validated
     def column(self, name: str) -> tuple[Float[np.ndarray, " points"], str]:
@@ -92,7 +94,7 @@ class PoincareSection:
         if name not in columns:
             raise ValueError(f"Unknown variable {name!r}. {nearest(name, columns)}")
         units, label = _unit_and_label(name)
-        return columns[name], f"{label} ({units})"
+        return columns[name], with_unit(label, units)
 
     def __repr__(self) -> str:
         return f"PoincareSection({self.title}, {', '.join(self.values)})"

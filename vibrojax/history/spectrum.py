@@ -191,9 +191,11 @@ class Spectrum:
     @validated
     def plot(self, span: float | int | None = None, count: int = 8) -> "Figure":
         """Draw it up to `span` (Hz), with its `count` largest peaks named."""
+        check_count("count", count)
+        shown = self if span is None else self.up_to(span)
         from vibrojax.plot.spectrum import plot_spectrum
 
-        return plot_spectrum(self if span is None else self.up_to(span), count)
+        return plot_spectrum(shown.to_xarray(), shown.peaks(len(shown.frequency)), count)
 
     def __repr__(self) -> str:
         return (

@@ -1,12 +1,13 @@
 """A fit: the numbers found, what was fitted, and the problem that was solved."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from vibrojax._tools.checks import check_index
 from vibrojax._tools.signatures import validated
+from vibrojax.identification.fitted_data import Prediction
 from vibrojax.identification.setting_up import own_name
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.history import MeasuredHistory
@@ -18,25 +19,6 @@ class Alternative:
 
     estimate: dict[str, float]
     reduced_chi_square: float
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """One measurement as the fitted rig gives it."""
-
-    residual: np.ndarray
-    """Of a curve, distance of every point over its standard deviation, with the sign of the
-    amplitude's part; of a history, of every channel and sample."""
-    frequency: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """Points along the fitted curve."""
-    channels: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    """What the sensor shows there: amplitude, then contact force, where measured."""
-    unstable: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
-    """Whether a point lies between two folds."""
-    continues: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
-    """Whether the next point continues this one."""
-    folds: dict[str, np.ndarray] = field(default_factory=dict)
-    """Where a `forward` and a `backward` sweep would jump."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -17,15 +17,16 @@ from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continue_response import continue_response
 from vibrojax.identification.fit import Fit
-from vibrojax.identification.fit import Prediction as Prediction
+from vibrojax.identification.fitted_data import Prediction as Prediction
+from vibrojax.identification.fitted_data import fitted_data
 from vibrojax.identification.planning import what_next
 from vibrojax.identification.posterior import Posterior
 from vibrojax.identification.profile import Profile
 from vibrojax.identification.profiling import profile
 from vibrojax.identification.sampling import sample
 from vibrojax.identification.what_next import WhatNext
-from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.results.saving import whole_files
+from vibrojax.results.variables import named_value
 
 if TYPE_CHECKING:
     import xarray
@@ -88,13 +89,35 @@ class Identification(Fit):
 
         `measurement` counts from 0, in the order given. Raises `ValueError` when there is none.
         """
+        check_index("measurement", measurement, len(self.measured))
+        measured, count = self.measured[measurement], len(self.measured)
+        title = [f"measurement {measurement + 1} of {count}"] if count > 1 else []
+        title += [measured.label] if measured.label else []
+        title += [named_value(name, value) for name, value in measured.parameters.items()]
+        data = fitted_data(measured, self.predictions[measurement])
         from vibrojax.plot.identification import plot_identification
 
-        check_index("measurement", measurement, len(self.measured))
-        return plot_identification(self, measurement)
+        return plot_identification(data, self._estimates(), ", ".join(title))
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return estimates over `parameter`, and points and curve of every curve measured."""
+        dataset = self._estimates()
+        for k, (m, p) in enumerate(zip(self.measured, self.predictions, strict=True)):
+            end = "" if len(self.measured) == 1 else f"_{k}"
+            own = fitted_data(m, p)
+            if "curve_frequency" in own:
+                told = "Change of the number without the point over its deviation"
+                own["influence"] = (
+                    ("point", "parameter"),
+                    self.influence[k],
+                    {"long_name": told, "units": "1"},
+                )
+            names = {*own.data_vars, *own.dims} - {"parameter"}
+            dataset = dataset.merge(own.rename({n: f"{n}{end}" for n in names}))
+        return dataset.assign_attrs(self._attributes())
+
+    def _estimates(self) -> "xarray.Dataset":
+        """Return the estimates over `parameter`, and the misfit."""
         import xarray
 
         names = list(self.names)
@@ -109,40 +132,26 @@ class Identification(Fit):
         described = {"long_name": "Fitted number", "units": "SI, as the rig's argument"}
         for name in ("estimate", "interval", "standard_deviation"):
             data[name] = (*data[name], described)
-        for k, (m, p) in enumerate(zip(self.measured, self.predictions, strict=True)):
-            end = "" if len(self.measured) == 1 else f"_{k}"
-            residual = {"long_name": "Distance over standard deviation", "units": "1"}
-            data[f"residual{end}"] = (f"point{end}", p.residual, residual)
-            frequency = getattr(m, "frequency", None)
-            if not len(p.frequency) or frequency is None:
-                continue
-            curve: Any = m
-            unit = {"units": "1" if curve.frequency_name == "frequency_ratio" else "Hz"}
-            at = {"long_name": "Drive frequency", **unit}
-            data[f"measured_frequency{end}"] = (f"point{end}", curve.frequency, at)
-            data[f"direction{end}"] = (f"point{end}", curve.direction, {"long_name": "Sweep"})
-            data[f"curve_frequency{end}"] = (f"curve_point{end}", p.frequency, at)
-            for c, (name, values, units) in enumerate(_channels(curve)):
-                about = {"long_name": name.replace("_", " ").capitalize(), "units": units}
-                data[f"measured_{name}{end}"] = (f"point{end}", values, about)
-                data[f"curve_{name}{end}"] = (f"curve_point{end}", p.channels[:, c], about)
-            data[f"influence{end}"] = (
-                (f"point{end}", "parameter"),
-                self.influence[k],
-                {"long_name": "Change of the number without the point over its deviation"},
-            )
+        for name in ("identifiable", "identifiability", "correlation"):
+            data[name] = (*data[name], {"long_name": name.capitalize(), "units": "1"})
         coordinates = {"parameter": names, "other_parameter": names, "end": ["low", "high"]}
-        return xarray.Dataset(data, coordinates, attrs=self._attributes())
+        return xarray.Dataset(data, coordinates, attrs=self._misfit())
 
-    def _attributes(self) -> dict[str, Any]:
+    def _misfit(self) -> dict[str, Any]:
         return {
             "title": "vibrojax identification",
             "reduced_chi_square": self.reduced_chi_square,
             "degrees_of_freedom": self.degrees_of_freedom,
             "confidence": self.confidence,
-            "objective": self.asked.objective,
+            "values_measured": sum(m.size for m in self.measured),
+            "number_of_measurements": len(self.measured),
             "warnings": "\n".join(self.warnings),
             "notes": "\n".join(self.notes),
+        }
+
+    def _attributes(self) -> dict[str, Any]:
+        return self._misfit() | {
+            "objective": self.asked.objective,
             "rig": recipe(self.system()),
             "vibrojax_version": version("vibrojax"),
             "jax_version": version("jax"),
@@ -190,7 +199,7 @@ class Identification(Fit):
             assert report is not None
             assert drawing is not None
             report.write_text(json.dumps(self.report(), indent=2) + "\n")
-            self.plot().savefig(drawing, format="png", dpi=150)
+            self.plot().savefig(drawing, format="png")
         return data, picture
 
     def __repr__(self) -> str:
@@ -220,13 +229,3 @@ class Identification(Fit):
 
 def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def _channels(curve: MeasuredCurve) -> list[tuple[str, np.ndarray, str]]:
-    """Return name, measured values and unit of the channels of a curve, in order."""
-    rows = []
-    if curve.amplitude is not None:
-        rows.append((curve.quantity, curve.amplitude, curve.unit))
-    if curve.contact_force is not None:
-        rows.append(("contact_force", curve.contact_force, "N"))
-    return rows

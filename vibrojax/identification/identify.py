@@ -9,7 +9,8 @@ from vibrojax._tools.checks import check_count, check_range
 from vibrojax._tools.signatures import validated
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.findings import early_jumps, misfit, modes_left_out
-from vibrojax.identification.fit import Alternative, Prediction
+from vibrojax.identification.fit import Alternative
+from vibrojax.identification.fitted_data import Prediction
 from vibrojax.identification.identification import Identification
 from vibrojax.identification.least_squares import LevenbergMarquardt, Optax, Search
 from vibrojax.identification.problem import Problem

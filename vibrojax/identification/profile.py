@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    import xarray
     from matplotlib.figure import Figure
 
 
@@ -28,9 +29,22 @@ class Profile:
 
     def plot(self) -> "Figure":
         """Draw the rise of chi-square against the number."""
-        from vibrojax.plot.identification import plot_profile
+        from vibrojax.plot.profiles import plot_profiles
 
-        return plot_profile(self)
+        return plot_profiles([self.to_xarray()])
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return a dataset over the values of the number, with the interval as attributes."""
+        import xarray
+
+        described = {"units": "SI, as the rig's argument"}
+        data = {"rise": (self.name, self.rise, {"units": "1", "long_name": "Rise of chi-square"})}
+        for name, values in self.others.items():
+            data[name] = (self.name, values, described | {"long_name": f"{name}, refitted"})
+        held = {self.name: (self.name, self.values, described | {"long_name": self.name})}
+        names = ("estimate", "interval", "threshold", "confidence")
+        settings = {name: getattr(self, name) for name in names}
+        return xarray.Dataset(data, held, attrs=settings | {"parameter": self.name})
 
     def __repr__(self) -> str:
         low, high = self.interval

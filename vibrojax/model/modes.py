@@ -78,9 +78,10 @@ class Modes(eqx.Module):
 
         Raises `ValueError` for a batch of beams.
         """
-        from vibrojax.plot.style import plot_modes
+        dataset = modes_dataset(self, 401)
+        from vibrojax.plot.modes import plot_modes
 
-        return plot_modes(self)
+        return plot_modes(dataset)
 
     @validated
     def to_xarray(self, points: int = 201) -> "xarray.Dataset":

@@ -1,79 +1,64 @@
-"""Picture of basins: the attractor of every start, in colours that the colour-blind can tell."""
+"""Picture of basins: the attractor of every start."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+import xarray
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from vibrojax.plot.style import LABEL, SMALL, new_picture, outside_legend
-from vibrojax.results.variables import named_value
+from vibrojax.plot.style import (
+    COLORS,
+    SERIES,
+    Key,
+    chosen_in,
+    edges_of,
+    finish,
+    label_for,
+    new_picture,
+)
 
-if TYPE_CHECKING:
-    from vibrojax.regime.basins_result import Basins
-
-COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#f0e442", "#d55e00")
-"""Of periodic attractors by share. Source: Okabe and Ito 2008."""
-OTHER, WILD, TAME, DIVERGED = "#ffffff", "#4d4d4d", "#b3b3b3", "#000000"
+ATTRACTORS = SERIES[:7]
+"""Colours of periodic attractors, by share."""
+OTHER, DIVERGED = "white", COLORS["black"]
 
 
-def plot_basins(basins: "Basins", **selection: Any) -> Figure:
-    """Draw the basins at one combination of the other axes; see `Basins.plot`."""
-    index, chosen = basins.place_of(selection)
-    number = basins.attractor[index]
-    share, error = basins.share[index], basins.standard_error[index]
-    names, places = list(basins.starts), list(basins.starts.values())
-    shades = [DIVERGED]
-    handles, labels, others = [], [], 0.0
-    periodic = iter(COLORS)
-    for k, part in enumerate(share):
-        period = int(basins.period[(*index, k)])
-        if period == 0:
-            color = WILD if basins.cross_well[(*index, k)] else TAME
-        else:
+def plot_basins(basins: xarray.Dataset, starts: Sequence[str], names: Sequence[str]) -> Figure:
+    """Draw the basins at one combination of the other axes.
+
+    `starts` are the names of the two numbers, `names` say in words what the attractors are.
+    """
+    number = basins["attractor"].values
+    shown: Key = {}
+    colors = [DIVERGED]
+    periodic, others = iter(ATTRACTORS), 0.0
+    style = {"edgecolor": "black", "linewidth": 0.5}
+    for k, name in enumerate(names):
+        own = basins.isel(attractor_number=k)
+        color = COLORS["dark" if bool(own["cross_well"]) else "pale"]
+        if int(own["period"]):
             color = next(periodic, OTHER)
-        shades.append(color)
-        if part == 0:
-            continue
+        colors.append(color)
+        share, error = 100 * float(own["share"]), 100 * float(own["standard_error"])
         if color == OTHER:
-            others += float(part)
-            continue
-        handles.append(Patch(facecolor=color, edgecolor="black", linewidth=0.5))
-        words = basins.name_of(k + 1, index)
-        labels.append(f"{words}: {100 * part:.1f} ± {100 * error[k]:.1f} %")
+            others += share
+        elif share:
+            shown[f"{name}: {share:.1f} ± {error:.1f} %"] = Patch(facecolor=color, **style)
     if others:
-        handles.append(Patch(facecolor=OTHER, edgecolor="black", linewidth=0.5))
-        labels.append(f"further attractors: {100 * others:.1f} %")
-    lost = float(np.mean(number == 0))
-    if lost:
-        handles.append(Patch(facecolor=DIVERGED))
-        labels.append(f"diverged: {100 * lost:.1f} %")
+        shown[f"further attractors: {others:.1f} %"] = Patch(facecolor=OTHER, **style)
+    if lost := float(np.mean(number == 0)):
+        shown[f"diverged: {100 * lost:.1f} %"] = Patch(facecolor=DIVERGED)
     figure, axes = new_picture()
     axes.grid(False)
-    colors = ListedColormap(shades)
-    limits: dict[str, Any] = {"vmin": -0.5, "vmax": len(shades) - 0.5}
-    if basins.sampling == "grid":
-        edges = [_edges(np.asarray(place, float)) for place in places]
-        axes.pcolormesh(*edges, number.T, cmap=colors, rasterized=True, **limits)
+    cells: dict[str, Any] = {"vmin": -0.5, "vmax": len(colors) - 0.5}
+    cells["cmap"] = ListedColormap(colors)
+    x, y = (basins[name].values.astype(float) for name in starts)
+    if number.ndim == 2:
+        axes.pcolormesh(edges_of(x), edges_of(y), number.T, rasterized=True, **cells)
     else:
         size = float(np.clip(3000 / max(number.size, 1), 4, 40))
-        style = {"s": size, "edgecolors": "black", "linewidths": 0.2}
-        axes.scatter(*places, c=number, cmap=colors, **style, **limits)
-    told = [f"{n.replace('_', ' ')} ({u})" if (u := basins.units.get(n)) else n for n in names]
-    axes.set_xlabel(told[0], fontsize=LABEL)
-    axes.set_ylabel(told[1], fontsize=LABEL)
-    if chosen:
-        title = ", ".join(named_value(name, value) for name, value in chosen.items())
-        axes.set_title(title, fontsize=SMALL, loc="left")
-    outside_legend(axes, handles, labels)
-    return figure
-
-
-def _edges(middles: np.ndarray) -> np.ndarray:
-    """Ends of the cells, half way between neighbours."""
-    if len(middles) == 1:
-        return middles[0] + np.array([-0.5, 0.5])
-    inner = (middles[1:] + middles[:-1]) / 2
-    ends = 2 * middles[0] - inner[0], 2 * middles[-1] - inner[-1]
-    return np.concatenate([ends[:1], inner, ends[1:]])
+        axes.scatter(x, y, c=number, s=size, edgecolors="black", linewidths=0.2, **cells)
+    across, up = (label_for(basins[name]) for name in starts)
+    return finish(figure, axes, across, up, shown, chosen_in(basins))

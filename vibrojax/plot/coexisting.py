@@ -1,56 +1,37 @@
 """Picture of the motions that coexist at one frequency."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
-import matplotlib
 import numpy as np
+import xarray
 from matplotlib.figure import Figure
 
-from vibrojax.plot.style import (
-    LABEL,
-    LINE_STYLES,
-    label_of,
-    new_picture,
-    outside_legend,
-)
+from vibrojax.plot.style import LINE_STYLES, chosen_in, finish, key_of, new_picture, shades
 
-if TYPE_CHECKING:
-    from vibrojax.branches.coexisting_result import Coexisting
-
-SAMPLES = 256
-"""Samples per drive period of an orbit."""
+LOST = {0: "without a period", -1: "diverged"}
+"""What became of starts that lead to no motion."""
 
 
-def plot_coexisting(found: "Coexisting") -> Figure:
+def plot_coexisting(
+    found: xarray.Dataset, orbits: Sequence[tuple[np.ndarray, np.ndarray]], samples: int
+) -> Figure:
     """Draw every motion in the plane of displacement and velocity, marked at drive phase 0.
 
-    Raises `ValueError` when no periodic motion was found.
+    `orbits` are the displacements (m) and velocities (m/s) over a period, with so many samples to
+    a drive period.
     """
-    if not found.motions:
-        raise ValueError("No periodic motion was found: there is nothing to draw.")
     figure, axes = new_picture()
-    shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.85, len(found.motions)))
-    total = len(found.start_states)
-    for k, (motion, shade) in enumerate(zip(found.motions, shades, strict=True)):
-        history = found.history(k, samples_per_period=SAMPLES)
-        across, along = 1e3 * np.asarray(history.displacement()), np.asarray(history.velocity())
+    leads_to = found["leads_to"].values
+    for k, (orbit, color) in enumerate(zip(orbits, shades(len(orbits)), strict=True)):
+        across, along = 1e3 * orbit[0], orbit[1]
         style = LINE_STYLES[k % len(LINE_STYLES)]
-        starts = f"{len(motion.starts)} of {total} starts"
-        label = f"period {motion.period}, {motion.amplitude_ratio:.4g}, from {starts}"
-        axes.plot(across, along, color=shade, linestyle=style, linewidth=2.0, label=label)
-        strobed = slice(0, -1, SAMPLES)
-        axes.plot(across[strobed], along[strobed], "o", color=shade, markersize=7)
-    axes.set_xlabel("Displacement (mm)", fontsize=LABEL)
-    axes.set_ylabel("Velocity (m/s)", fontsize=LABEL)
-    lost = [
-        f"{len(starts)} starts {words}"
-        for starts, words in ((found.aperiodic, "without a period"), (found.diverged, "diverged"))
-        if len(starts)
-    ]
-    where = f"{label_of(found.axis)} {found.value:g}; dots: drive phase 0"
-    axes.set_title("; ".join([where, *lost]), fontsize=LABEL, loc="left")
-    lines, labels = axes.get_legend_handles_labels()
-    # The first entry says what the second number is.
-    labels[0] = labels[0].replace(", ", ", amplitude ratio ", 1)
-    outside_legend(axes, lines, labels)
-    return figure
+        period, amplitude = (found[n].values[k] for n in ("period", "amplitude_ratio"))
+        starts = f"{np.sum(leads_to == k + 1)} of {len(leads_to)} starts"
+        label = f"{k + 1}: period {period}, amplitude ratio {amplitude:.4g}, from {starts}"
+        axes.plot(across, along, color=color, linestyle=style, linewidth=2.0, label=label)
+        strobed = slice(0, -1, samples)
+        axes.plot(across[strobed], along[strobed], "o", color=color, markersize=7)
+    counts = {words: np.sum(leads_to == number) for number, words in LOST.items()}
+    lost = [f"{count} starts {words}" for words, count in counts.items() if count]
+    title = "; ".join([f"{chosen_in(found)}; dots: drive phase 0", *lost])
+    return finish(figure, axes, "Displacement (mm)", "Velocity (m/s)", key_of(axes), title)

@@ -1,53 +1,52 @@
 """Picture of where the energy of a history is and where it goes."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import xarray
 from matplotlib.figure import Figure
 
-from vibrojax.plot.style import Picture
-
-if TYPE_CHECKING:
-    from vibrojax.history.energy import EnergyFlow
+from vibrojax.plot.style import (
+    COLORS,
+    SERIES,
+    key_of,
+    label_for,
+    name_axes,
+    new_panels,
+    outside_legend,
+)
 
 MOST_POINTS = 4000
 """Samples that a picture shows; of more, every so manyth."""
-COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#999999")
 LOWEST = 1e-5
 
 
-def plot_energy(energy: "EnergyFlow", kind: str) -> Figure:
+def plot_energy(energy: xarray.Dataset, kind: str) -> Figure:
     """Draw the share of every mode, and below it what was lost and put in."""
-    every = max(1, energy.time.size // MOST_POINTS)
-    time, share = energy.time[::every], energy.share[::every]
-    figure = Picture(figsize=(10, 7), dpi=150, layout="constrained")
-    top, bottom = figure.subplots(2, 1, sharex=True)
-    names = [f"mode {i + 1}" for i in range(share.shape[1])]
-    colours = [COLOURS[i % len(COLOURS)] for i in range(share.shape[1])]
+    shown = energy.isel(time=slice(None, None, max(1, energy.sizes["time"] // MOST_POINTS)))
+    time, share = shown["time"].values, shown["share"].values.T
+    figure, (top, bottom) = new_panels([2.9, 2.9])
+    names = [f"mode {i + 1}" for i in range(len(share))]
+    colors = [SERIES[i % len(SERIES)] for i in range(len(share))]
     if kind == "stacked":
-        top.stackplot(time, share.T, labels=names, colors=colours)
+        top.stackplot(time, share, labels=names, colors=colors)
         top.set_ylim(0.0, 1.0)
     else:
-        for name, colour, values in zip(names, colours, share.T, strict=True):
-            top.semilogy(time, np.maximum(values, LOWEST / 10), label=name, color=colour)
+        for name, color, values in zip(names, colors, share, strict=True):
+            top.semilogy(time, np.maximum(values, LOWEST / 10), label=name, color=color)
         top.set_ylim(LOWEST, 1.5)
-    top.set_ylabel("Share of the energy [1]", fontsize=11)
+    name_axes(top, None, "Share of the energy")
 
-    bottom.plot(time, energy.beam_loss.sum(axis=1)[::every], label="lost in the body", color="k")
-    for s, values in enumerate(energy.contact_loss[::every].T):
-        name = "lost in the stop" if energy.contact_loss.shape[1] == 1 else f"lost in stop {s + 1}"
-        style = ("-", "-.", ":")[s % 3]
-        bottom.plot(time, values, label=name, color="#d55e00", linestyle=style)
-    if np.any(energy.input_work):
-        work = energy.input_work[::every]
-        bottom.plot(time, work, label="put in by the drive", color="#0072b2", linestyle="--")
-    held = energy.total[::every]
-    bottom.plot(time, held, label="held by body and stops", color="#999999", linewidth=0.8)
-    bottom.set_ylabel("Energy [J]", fontsize=11)
-    bottom.set_xlabel("Time [s]", fontsize=11)
-    for panel in (top, bottom):
-        panel.legend(fontsize=10, loc="center left", bbox_to_anchor=(1.0, 0.5))
-        panel.tick_params(labelsize=10)
-    bottom.grid(alpha=0.3)
+    lines = [("lost in the body", shown["beam_loss"].sum("mode"), "black", "-")]
+    losses = shown["contact_loss"].values.T
+    for s, values in enumerate(losses):
+        name = "lost in the stop" if len(losses) == 1 else f"lost in stop {s + 1}"
+        lines.append((name, values, "orange", ("-", "-.", ":")[s % 3]))
+    if np.any(shown["input_work"]):
+        lines.append(("put in by the drive", shown["input_work"], "blue", "--"))
+    held = shown["modal_energy"].sum("mode") + shown["stop_energy"].sum("stop")
+    lines.append(("held by body and stops", held, "middle", "-"))
+    for name, values, color, style in lines:
+        bottom.plot(time, values, label=name, color=COLORS[color], linestyle=style)
+    name_axes(bottom, label_for(shown["time"]), "Energy (J)")
+    outside_legend(figure, key_of(top, bottom))
     top.set_xlim(time[0], time[-1])
     return figure

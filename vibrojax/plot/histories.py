@@ -1,53 +1,72 @@
-"""Picture of several time histories together."""
+"""Pictures of signals over time: of one history below each other, of several together."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import NamedTuple
 
-import matplotlib
 import numpy as np
-from jaxtyping import ArrayLike
 from matplotlib.figure import Figure
 
-from vibrojax.history.quantities import check_quantity, unit_and_label
 from vibrojax.plot.style import (
-    LABEL,
+    COLORS,
+    FRAME,
     LINE_STYLES,
+    SIZE,
+    finish,
+    key_of,
+    name_axes,
+    new_panels,
     new_picture,
     outside_legend,
+    shades,
+    within,
 )
-from vibrojax.results.axes import axis_scale
+from vibrojax.results.variables import with_unit
 
-if TYPE_CHECKING:
-    from vibrojax.history.histories import Histories
+LOWEST = 1.75
+"""Least height of a panel, inches."""
+SMALLER = {"m": ("mm", 1e-3), "J": ("mJ", 1e-3), "W": ("mW", 1e-3)}
+"""Units of axes in which the numbers of small rigs are short."""
+STOPS = ("blue", "orange", "green", "pink")
+
+
+class Signal(NamedTuple):
+    """What one panel shows."""
+
+    values: np.ndarray
+    """Over time; with a second axis, several lines."""
+    units: str
+    long_name: str
+    names: tuple[str, ...] = ()
+    """Of several lines."""
+
+
+def plot_signals(time: np.ndarray, signals: Sequence[Signal]) -> Figure:
+    """Draw signals against time, one below the other: in thousandths where they are small."""
+    height = max(LOWEST, (SIZE[1] - FRAME) / len(signals))
+    figure, panels = new_panels([height] * len(signals))
+    for panel, signal in zip(panels, signals, strict=True):
+        values, units = signal.values, signal.units
+        if units in SMALLER and np.max(np.abs(values), initial=0.0) < 0.1:
+            units, factor = SMALLER[units]
+            values = values / factor
+        columns = values.reshape(len(time), -1).T
+        for k, column in enumerate(columns):
+            label = signal.names[k] if len(columns) > 1 else None
+            panel.plot(time, column, color=COLORS[STOPS[k % 4]], linewidth=0.9, label=label)
+        name_axes(panel, None, within(with_unit(signal.long_name, units), height))
+    panels[-1].set_xlim(float(time[0]), float(time[-1]))
+    name_axes(panels[-1], "Time (s)", None)
+    outside_legend(figure, key_of(*panels))
+    return figure
 
 
 def plot_histories(
-    histories: "Histories", quantity: str, position: ArrayLike | None, most: int
+    lines: Sequence[tuple[np.ndarray, np.ndarray, str]], label: str, title: str
 ) -> Figure:
-    """Draw a quantity of every history against time; of many, evenly chosen ones."""
-    check_quantity(histories[0].motion.equations, quantity)
+    """Draw a quantity of several histories: times, values and what the legend says of each."""
     figure, axes = new_picture()
-    shown = np.unique(np.linspace(0, len(histories) - 1, min(most, len(histories))).round())
-    shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.85, len(shown)))
-    scales = [axis_scale(histories.axes, name) for name in histories.axes]
-    for order, (k, shade) in enumerate(zip(shown.astype(int), shades, strict=True)):
-        history = histories[int(k)]
-        place = np.unravel_index(k, histories.shape) if scales else ()
-        numbers = (scale.labels[i] for scale, i in zip(scales, place, strict=True))
-        axes.plot(
-            np.asarray(history.time),
-            np.asarray(history.quantity(quantity, position)),
-            color=shade,
-            linestyle=LINE_STYLES[order % len(LINE_STYLES)],
-            linewidth=1.5,
-            label=", ".join(numbers) or None,
-        )
-    unit, label = unit_and_label(quantity)
-    axes.set_xlabel("Time (s)", fontsize=LABEL)
-    axes.set_ylabel(label if unit == "1" else f"{label} ({unit})", fontsize=LABEL)
-    if len(shown) < len(histories):
-        title = f"{len(shown)} of {len(histories)} histories"
-        axes.set_title(title, fontsize=LABEL, loc="left")
-    lines, labels = axes.get_legend_handles_labels()
-    if labels:
-        outside_legend(axes, lines, labels)
-    return figure
+    for k, (line, color) in enumerate(zip(lines, shades(len(lines)), strict=True)):
+        time, values, words = line
+        style = LINE_STYLES[k % len(LINE_STYLES)]
+        axes.plot(time, values, color=color, linestyle=style, linewidth=1.5, label=words or None)
+    return finish(figure, axes, "Time (s)", label, key_of(axes), title)

@@ -6,8 +6,9 @@ import numpy as np
 import xarray
 
 from vibrojax._tools.checks import nearest
-from vibrojax.branches.branch import axis_description
-from vibrojax.plot.style import WORDS
+from vibrojax.plot.style import WORDS, edges_of
+from vibrojax.results.axes import nearest_place
+from vibrojax.results.variables import axis_description
 
 FREQUENCIES = ("frequency_ratio", "frequency")
 RESPONSES = ("direction", "crossing")
@@ -46,9 +47,7 @@ class MapAxis(NamedTuple):
     def edges(self) -> np.ndarray:
         """Ends of the cells, half way between neighbours."""
         places = np.log(self.places) if self.logarithmic else self.places
-        steps = np.diff(places) if len(places) > 1 else np.ones(1)
-        middles = (places[1:] + places[:-1]) / 2
-        edges = np.r_[places[0] - steps[0] / 2, middles, places[-1] + steps[-1] / 2]
+        edges = edges_of(places)
         return np.exp(edges) if self.logarithmic else edges
 
 
@@ -147,12 +146,6 @@ def long_name_of(dataset: xarray.Dataset, name: str) -> str:
     return str(dataset[name].attrs.get("long_name", axis_description(name)["long_name"]))
 
 
-def label_with_units(dataset: xarray.Dataset, name: str) -> str:
-    """Return the long name of a coordinate or variable with its unit."""
-    units = units_of(dataset, name)
-    return long_name_of(dataset, name) + (f" ({units})" if units else "")
-
-
 def word(name: str, value: Any) -> str:
     """Return one value of a coordinate as it is written on an axis."""
     if isinstance(value, float | np.floating):
@@ -194,19 +187,6 @@ def select(dataset: xarray.Dataset, variable: str, selection: dict[str, Any]) ->
             )
         taken[dimension] = name
         along = coordinates_along(dataset, dimension)
-        index[dimension] = _place(name, dataset[name if name in along else along[0]], value)
+        values = dataset[name if name in along else along[0]].values
+        index[dimension] = nearest_place(name, values, value)
     return index
-
-
-def _place(name: str, coordinate: xarray.DataArray, value: Any) -> int:
-    values = coordinate.values
-    if values.dtype.kind not in "fiu":
-        names = [str(v) for v in values]
-        if str(value) not in names:
-            raise ValueError(f"{name} must be one of {', '.join(names)}, got {value!r}.")
-        return names.index(str(value))
-    if np.ndim(value) or not isinstance(value, int | float | np.generic | np.ndarray):
-        raise ValueError(f"{name} must be one number, got {value!r}.")
-    if not np.isfinite(value):
-        raise ValueError(f"{name} must be finite, got {value!r}.")
-    return int(np.argmin(np.abs(values - value)))

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 import xarray
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
@@ -18,14 +17,18 @@ from matplotlib.patheffects import Normal, Stroke, withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from vibrojax.plot.map_axes import FREQUENCIES, MapAxis
-from vibrojax.plot.style import LABEL, SMALL
+from vibrojax.plot.style import COLORS, HOLLOW, LABEL, SMALL, Key
 
 REGIME = "_regime"
 """Name under which the kind of motion of every cell is kept in the view."""
 APERIODIC, DIVERGED, UNSTABLE = -1, -2, -3  # instead of a period
 LANES = {"settled": 0, "aperiodic": 1, "diverged": 2, "failed": 3, "missing": 4}
 MARKS = {"aperiodic": "o", "diverged": "X", "failed": "s"}
-BLANK: dict[str, Any] = {"facecolor": "#e6e6e6", "edgecolor": "#9a9a9a", "hatch": "////"}
+BLANK: dict[str, Any] = {
+    "facecolor": COLORS["light"],
+    "edgecolor": COLORS["middle"],
+    "hatch": "////",
+}
 MOST_VALUES = 10
 """Whole numbers that get a colour each; more get a continuous scale."""
 ROOM = 0.06
@@ -45,8 +48,8 @@ class JumpStyle(NamedTuple):
 
 
 JUMPS = {
-    "jump_up": JumpStyle("black", (0, (4, 1.5)), "^"),
-    "jump_down": JumpStyle("#d1590a", (0, (1.2, 1.2)), "v"),
+    "jump_up": JumpStyle(COLORS["black"], (0, (4, 1.5)), "^"),
+    "jump_down": JumpStyle(COLORS["orange"], (0, (1.2, 1.2)), "v"),
 }
 
 
@@ -215,7 +218,7 @@ def draw_cells(
     across: tuple[MapAxis, MapAxis],
     shades: Shades,
     words: Words,
-    key: dict[str, Artist],
+    key: Key,
 ) -> None:
     """Draw one panel over two axes, and put what it shows into the legend's `key`."""
     x, y = across
@@ -248,7 +251,7 @@ def draw_cells(
 
 
 def _draw_jumps(
-    axes: Axes, panel: xarray.Dataset, across: tuple[MapAxis, MapAxis], key: dict[str, Artist]
+    axes: Axes, panel: xarray.Dataset, across: tuple[MapAxis, MapAxis], key: Key
 ) -> np.ndarray:
     """Draw the jumps as lines, and return which cells are beside one."""
     x, y = across
@@ -282,7 +285,7 @@ def _draw_edges(
     taken: np.ndarray,
     across: tuple[MapAxis, MapAxis],
     words: Words,
-    key: dict[str, Artist],
+    key: Key,
 ) -> None:
     """Draw the borders between cells of different kinds, and letters where no cell is taken."""
     x, y = across[0].edges, across[1].edges
@@ -331,14 +334,14 @@ def _mark(
     name: str,
     label: str,
     across: tuple[MapAxis, MapAxis],
-    key: dict[str, Artist],
+    key: Key,
 ) -> None:
     """Put a mark on cells that did not settle."""
     rows, columns = np.nonzero(where)
     if len(rows):
         size = float(np.clip(120 / max(where.shape), 1.5, 8.0))
-        style: dict[str, Any] = {"marker": MARKS[name], "linestyle": "none", "color": "black"}
-        style |= {"markerfacecolor": "white", "markeredgewidth": min(1.0, size / 3)}
+        style: dict[str, Any] = HOLLOW | {"marker": MARKS[name], "color": "black"}
+        style |= {"markeredgewidth": min(1.0, size / 3)}
         places = across[0].places[columns], across[1].places[rows]
         axes.plot(*places, markersize=size, zorder=3.2, **style)
         key.setdefault(label, Line2D([], [], markersize=8, **style))

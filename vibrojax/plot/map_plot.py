@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 import xarray
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
 from vibrojax._tools.checks import nearest
@@ -21,7 +19,6 @@ from vibrojax.plot.map_axes import (
     dimension_of,
     fixed_names,
     fixed_text,
-    label_with_units,
     parameters_of,
     read_axis,
     select,
@@ -40,14 +37,17 @@ from vibrojax.plot.map_drawing import (
 )
 from vibrojax.plot.style import (
     COLORS,
-    DPI,
     GREY,
+    HOLLOW,
     LABEL,
     MARKERS,
     SIZE,
     SMALL,
     STYLES,
-    Picture,
+    Key,
+    empty_picture,
+    label_for,
+    name_axes,
     new_picture,
     outside_legend,
 )
@@ -186,12 +186,11 @@ def _draw_maps(
     rows = -(-count // columns)
     width = max(SIZE[0], PANEL[0] * columns + 1.2)
     height = max(SIZE[1], PANEL[1] * rows + 1.2)
-    margins = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08)
-    figure = Picture(figsize=(width, height), dpi=DPI, layout=margins)
+    figure = empty_picture((width, height))
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     view, words = with_regimes(view, variable)
     shades = shades_of(view, variable)
-    key: dict[str, Artist] = {}
+    key: Key = {}
     letters = int(8 * (width / columns - 0.7))
     known = fixed_names(view, variable)
     for place, axes in zip(np.ndindex(rows, columns), grid.flat, strict=True):
@@ -205,11 +204,11 @@ def _draw_maps(
         scale_axes(axes, x, y)
         title = fixed_text(panel, variable, known)
         title = title if len(title) <= letters else title.replace(", ", "\n")
-        axes.set_title(title, fontsize=LABEL - 1)
+        axes.set_title(title, fontsize=LABEL)
         axes.tick_params(labelsize=SMALL, labelbottom=number + columns >= count)
         label = textwrap.fill(x.label, letters)
         if place[0] == rows - 1:
-            axes.set_xlabel(label, fontsize=LABEL)
+            name_axes(axes, label, None)
         elif number + columns >= count:  # there is room below
             style = {"ha": "center", "va": "top", "textcoords": "offset points"}
             text = axes.annotate(
@@ -217,13 +216,12 @@ def _draw_maps(
             )
             text.set_in_layout(False)
         if not place[1]:
-            axes.set_ylabel(textwrap.fill(y.label, int(8 * height / rows)), fontsize=LABEL)
-    label = textwrap.fill(label_with_units(view, variable), int(8 * (height - 1.5)))
+            name_axes(axes, None, textwrap.fill(y.label, int(8 * height / rows)))
+    label = textwrap.fill(label_for(view[variable]), int(8 * (height - 1.5)))
     shown = [axes for axes in grid.flat if axes.get_visible()]
     add_color_bar(figure, shown, shades, label)
     _title(figure, fixed_text(view, variable))
-    if key:
-        outside_legend(shown[0], list(key.values()), list(key))
+    outside_legend(figure, key)
     return figure
 
 
@@ -237,7 +235,7 @@ def _draw_lines(view: xarray.Dataset, variable: str, x: MapAxis) -> Figure:
     figure, axes = new_picture()
     array = view[variable]
     split = next((str(d) for d in array.dims if d != x.dimension), None)
-    key: dict[str, Artist] = {}
+    key: Key = {}
     for number in range(view.sizes[split] if split else 1):
         part = view.isel({split: number}) if split else view
         y = cells(part, variable, x)
@@ -266,15 +264,13 @@ def _draw_lines(view: xarray.Dataset, variable: str, x: MapAxis) -> Figure:
         axes.set_ylim(-0.02 * high, high)
     if x.dimension in FREQUENCIES:
         _mark_jumps(axes, view, key)
-    axes.set_xlabel(x.label, fontsize=LABEL)
-    axes.set_ylabel(textwrap.fill(label_with_units(view, variable), 45), fontsize=LABEL)
+    name_axes(axes, x.label, textwrap.fill(label_for(view[variable]), 45))
     _title(figure, fixed_text(view, variable))
-    if key:
-        outside_legend(axes, list(key.values()), list(key))
+    outside_legend(figure, key)
     return figure
 
 
-HOLLOW = {
+UNSETTLED = {
     "aperiodic": ("status", 1),
     "unstable": ("stable", 0),
     "some points not settled": ("lane_status", None),
@@ -288,23 +284,22 @@ def _hollow(
     x: MapAxis,
     y: np.ndarray,
     line: Line2D,
-    key: dict[str, Artist],
+    key: Key,
 ) -> None:
     """Draw points hollow that did not settle, or are not stable."""
-    for words, (flag, value) in HOLLOW.items():
+    for words, (flag, value) in UNSETTLED.items():
         if flag not in part or part[flag].dims != part[variable].dims:
             continue
         flags = cells(part, flag, x)
         at = flags == value if value is not None else flags > 0
         if not (at & np.isfinite(y)).any():
             continue
-        style: dict[str, Any] = {"linestyle": "none", "marker": line.get_marker(), "markersize": 8}
-        style |= {"markerfacecolor": "white", "markeredgewidth": 1.4}
+        style = HOLLOW | {"marker": line.get_marker(), "markersize": 8, "markeredgewidth": 1.4}
         axes.plot(x.places[at], y[at], color=line.get_color(), zorder=3, **style)
         key.setdefault(words, Line2D([], [], color=GREY, **style))
 
 
-def _rug(axes: Axes, places: np.ndarray, key: dict[str, Artist]) -> None:
+def _rug(axes: Axes, places: np.ndarray, key: Key) -> None:
     """Mark values of the axis without any response, at the bottom."""
     if len(places):
         style: dict[str, Any] = {"linestyle": "none", "marker": "x", "color": GREY}
@@ -313,7 +308,7 @@ def _rug(axes: Axes, places: np.ndarray, key: dict[str, Artist]) -> None:
         key[f"no value ({len(places)})"] = Line2D([], [], markersize=8, **style)
 
 
-def _mark_jumps(axes: Axes, view: xarray.Dataset, key: dict[str, Artist]) -> None:
+def _mark_jumps(axes: Axes, view: xarray.Dataset, key: Key) -> None:
     for name, style in JUMPS.items():
         if name in view and not view[name].ndim and np.isfinite(view[name].item()):
             where = view[name].item()

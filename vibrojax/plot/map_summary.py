@@ -4,11 +4,9 @@ import textwrap
 
 import numpy as np
 import xarray
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.plot.map_axes import (
@@ -19,7 +17,6 @@ from vibrojax.plot.map_axes import (
     coordinates_along,
     fixed_names,
     fixed_text,
-    label_with_units,
     parameters_of,
     read_axis,
     variables_of,
@@ -35,10 +32,12 @@ from vibrojax.plot.map_drawing import (
 )
 from vibrojax.plot.style import (
     COLORS,
-    DPI,
     LABEL,
     SMALL,
-    Picture,
+    Key,
+    dress,
+    empty_picture,
+    label_for,
     outside_legend,
 )
 
@@ -54,7 +53,7 @@ MOST_MAPS = 4
 UPPER = 3
 """Of them in the upper row."""
 MOST_EFFECTS = 3
-BLUE, ORANGE = COLORS["forward"], COLORS["backward"]
+BLUE, ORANGE = COLORS["blue"], COLORS["orange"]
 BAND = (10, 90)  # percent
 MOST_MARKERS = 12
 LINE, WRAP = 112, 30  # letters over the page and over a panel
@@ -73,9 +72,8 @@ def plot_map_summary(dataset: xarray.Dataset) -> Figure:
     dataset = check_map(dataset)
     names = _measures(dataset)
     maps = [n for n in names if len(parameters_of(dataset, n)) > 1]
-    margins = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08, hspace=0.04, wspace=0.03)
-    figure = Picture(figsize=PAGE, dpi=DPI, layout=margins)
-    key: dict[str, Artist] = {}
+    figure = empty_picture(PAGE)
+    key: Key = {}
     upper, lower = figure.add_gridspec(2, 1)
     first = (maps or names)[:UPPER]
     row = upper.subgridspec(1, len(first))
@@ -93,8 +91,7 @@ def plot_map_summary(dataset: xarray.Dataset) -> Figure:
         if tally:
             _draw_tally(figure.add_subplot(next(cells_left)), dataset)
     figure.suptitle(_heading(dataset, names[0]), fontsize=LABEL, x=0.02, ha="left")
-    if key:
-        outside_legend(figure.axes[0], list(key.values()), list(key))
+    outside_legend(figure, key)
     return figure
 
 
@@ -126,7 +123,7 @@ def _draw(
     dataset: xarray.Dataset,
     name: str,
     as_map: bool,
-    key: dict[str, Artist],
+    key: Key,
 ) -> None:
     if not as_map:
         _draw_effects(figure, cell, dataset, name)
@@ -144,12 +141,12 @@ def _draw(
     draw_cells(axes, view, name, across, shades, words, key)
     scale_axes(axes, *across)
     add_color_bar(figure, [axes], shades, "")
-    lines = textwrap.wrap(label_with_units(view, name), WRAP)
+    lines = textwrap.wrap(label_for(view[name]), WRAP)
     if fixed := fixed_text(view, name, fixed_names(dataset, name)):
         lines += textwrap.wrap(f"at {fixed}", WRAP)
-    axes.set_title("\n".join(lines), fontsize=LABEL - 1, loc="left")
-    axes.set_xlabel(textwrap.fill(across[0].label, WRAP), fontsize=LABEL - 1)
-    axes.set_ylabel(textwrap.fill(across[1].label, WRAP), fontsize=LABEL - 1)
+    axes.set_title("\n".join(lines), fontsize=LABEL, loc="left")
+    axes.set_xlabel(textwrap.fill(across[0].label, WRAP), fontsize=LABEL)
+    axes.set_ylabel(textwrap.fill(across[1].label, WRAP), fontsize=LABEL)
 
 
 def _draw_effects(figure: Figure, cell: SubplotSpec, dataset: xarray.Dataset, name: str) -> None:
@@ -166,7 +163,7 @@ def _draw_effects(figure: Figure, cell: SubplotSpec, dataset: xarray.Dataset, na
         reach = np.nanmax(bands[1], initial=-np.inf) - np.nanmin(bands[1], initial=np.inf)
         effects.append((float(reach), axis, bands))
     effects.sort(key=lambda effect: -effect[0])
-    measure = label_with_units(dataset, name)
+    measure = label_for(dataset[name])
     if len(effects) > 1:
         measure += f": median and {BAND[0]} to {BAND[1]} % band"
     drawn = effects[:MOST_EFFECTS]
@@ -184,11 +181,12 @@ def _draw_effects(figure: Figure, cell: SubplotSpec, dataset: xarray.Dataset, na
             label = _label_ends(axes, axis)
         elif axis.names is not None:
             axes.tick_params(axis="x", rotation=30)
-        axes.tick_params(labelsize=SMALL, labelleft=shared is None)
-        axes.grid(True, axis="y", color="#d9d9d9", linewidth=0.7)
-        axes.set_xlabel(textwrap.fill(label, 3 * WRAP // (1 + len(drawn))), fontsize=LABEL - 1)
+        dress(axes)
+        axes.grid(False, axis="x")
+        axes.tick_params(labelleft=shared is None)
+        axes.set_xlabel(textwrap.fill(label, 3 * WRAP // (1 + len(drawn))), fontsize=LABEL)
         if shared is None:
-            axes.set_ylabel(textwrap.fill(measure, WRAP), fontsize=LABEL - 1)
+            axes.set_ylabel(textwrap.fill(measure, WRAP), fontsize=LABEL)
             shared = axes
 
 
@@ -235,13 +233,12 @@ def _draw_tally(axes: Axes, dataset: xarray.Dataset) -> None:
     axes.set_xlim(0, 1.9 * max(1, counts.max()))
     axes.set_ylim(len(tally) - 0.4, -0.6)
     axes.set_yticks(rows, list(tally))
-    axes.tick_params(labelsize=SMALL)
+    dress(axes)
+    axes.grid(False)
     title = "How the lanes ended, by their worst point" if lanes else "How the points ended"
-    axes.set_title(textwrap.fill(title, WRAP - 6), fontsize=LABEL - 1, loc="left")
-    axes.set_xlabel("Lanes" if lanes else "Points", fontsize=LABEL - 1)
+    axes.set_title(textwrap.fill(title, WRAP - 6), fontsize=LABEL, loc="left")
+    axes.set_xlabel("Lanes" if lanes else "Points", fontsize=LABEL)
     axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
 
 
 def _heading(dataset: xarray.Dataset, name: str) -> str:

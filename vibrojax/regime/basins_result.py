@@ -209,7 +209,8 @@ class Basins(eqx.Module):
         coordinates: dict[str, Any] = coordinates_of(self.axes)
         for name, axis in self.starts.items():
             dimension = name if self.sampling == "grid" else "start"
-            coordinates[name] = (dimension, axis, {"units": self.units.get(name, "1")})
+            told_of = {"units": self.units.get(name, "1"), "long_name": name.replace("_", " ")}
+            coordinates[name] = (dimension, axis, told_of)
         numbers = np.arange(1, self.period.shape[-1] + 1)
         described = described_as("attractor_number")
         coordinates["attractor_number"] = ("attractor_number", numbers, described)
@@ -247,9 +248,12 @@ class Basins(eqx.Module):
         of every attractor, with its standard error. Raises `ValueError` for an unknown axis, or
         one without a value.
         """
+        index, _ = self.place_of(selection)
+        names = [self.name_of(k, index) for k in range(1, self.period.shape[-1] + 1)]
+        lane = self.to_xarray().isel(dict(zip(self.axes, index, strict=True)))
         from vibrojax.plot.basins import plot_basins
 
-        return plot_basins(self, **selection)
+        return plot_basins(lane, list(self.starts), names)
 
     def __repr__(self) -> str:
         shape = [f"{name}: {len(axis)}" for name, axis in self.axes.items()]

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from vibrojax._tools.signatures import validated
 from vibrojax.regime.dataset import dataset_of, tally
 from vibrojax.regime.table import AbstractRegimeTable
-from vibrojax.results.axes import example, pick
+from vibrojax.results.axes import example, lane_of, pick
 from vibrojax.results.saving import save_dataset
 
 if TYPE_CHECKING:
@@ -118,9 +118,14 @@ class BifurcationDiagram(AbstractRegimeTable):
         `selection` picks one value (nearest) of every other axis, or a `direction`. Raises
         `ValueError` for an unknown axis, or where one is left.
         """
+        dataset = self.to_xarray()
+        if (direction := selection.pop("direction", None)) is not None:
+            index, _, _ = pick({"direction": np.array(self.directions)}, {"direction": direction})
+            dataset = dataset.isel(direction=[*index])
+        lane = lane_of(dataset, self.axes, selection)
         from vibrojax.plot.bifurcation import plot_bifurcation_diagram
 
-        return plot_bifurcation_diagram(self, **selection)
+        return plot_bifurcation_diagram(lane)
 
     def __repr__(self) -> str:
         shape = ", ".join(f"{name}: {len(v)}" for name, v in self.coordinates.items())

@@ -66,10 +66,10 @@ class LyapunovExponent(eqx.Module):
 
         Raises `ValueError` for a batch of exponents: take one.
         """
+        dataset = self.to_xarray()
         from vibrojax.plot.lyapunov import plot_lyapunov
 
-        self._refuse_batch()
-        return plot_lyapunov(self)
+        return plot_lyapunov(dataset)
 
     def _refuse_batch(self) -> None:
         if np.ndim(self.exponent):

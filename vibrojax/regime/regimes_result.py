@@ -12,6 +12,7 @@ from vibrojax._tools.signatures import validated
 from vibrojax.regime.dataset import dataset_of, tally
 from vibrojax.regime.kinds import Regime
 from vibrojax.regime.table import AbstractRegimeTable
+from vibrojax.results.axes import lane_of, view_of
 from vibrojax.results.saving import save_dataset
 
 if TYPE_CHECKING:
@@ -88,9 +89,10 @@ class Regimes(AbstractRegimeTable):
         `selection` picks one value (nearest) of other axes. Raises `ValueError` for an unknown
         axis, or where more than one is left.
         """
+        view = view_of(self.to_xarray(), self.axes, selection, "plot")
         from vibrojax.plot.regime import plot_regimes
 
-        return plot_regimes(self, **selection)
+        return plot_regimes(view)
 
     def poincare(self, **selection: Any) -> "Figure":
         """Draw the Poincaré section of a lane: displacement and velocity at every drive period.
@@ -98,18 +100,22 @@ class Regimes(AbstractRegimeTable):
         `selection` picks the lane; one axis may be left out, and its values are shown by
         colour. Raises `ValueError` for an unknown axis, or where more are left.
         """
+        view = view_of(self.to_xarray(), self.coordinates, selection, "poincare")
         from vibrojax.plot.regime import plot_poincare
 
-        return plot_poincare(self, **selection)
+        return plot_poincare(view)
 
     def plot_spectrum(self, **selection: Any) -> "Figure":
         """Draw the spectrum of the displacement of one lane, picked by `selection`.
 
         Raises `ValueError` where the lane is not picked, or there are no spectra.
         """
+        if self.orders is None:
+            raise ValueError("There are no spectra: give spectrum=True to vj.regimes.")
+        lane = lane_of(self.to_xarray(), self.coordinates, selection)
         from vibrojax.plot.regime import plot_order_spectrum
 
-        return plot_order_spectrum(self, **selection)
+        return plot_order_spectrum(lane)
 
     def __repr__(self) -> str:
         shape = ", ".join(f"{name}: {len(v)}" for name, v in self.coordinates.items())

@@ -4,13 +4,16 @@ A result keeps them by name: the values of a plain axis as an array, those of nu
 together (`vj.zipped`) as one structured array, whose fields are the numbers by name.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from vibrojax._tools.checks import nearest
-from vibrojax.results.variables import axis_description, named_value
+from vibrojax.results.variables import axis_description, named_value, with_unit
+
+if TYPE_CHECKING:
+    import xarray
 
 Array = np.ndarray
 
@@ -37,6 +40,15 @@ def coordinates_of(axes: Mapping[str, Array]) -> dict[str, Any]:
         for name, values in axes.items()
         for number, own in numbers_along(name, np.asarray(values)).items()
     }
+
+
+def axes_of(dataset: "xarray.Dataset", dims: Iterable[Any]) -> dict[str, Array]:
+    """Return the axes of a dataset along some dimensions, as a result keeps them."""
+    found = {}
+    for name in map(str, dims):
+        own = {str(n): c.values for n, c in dataset.coords.items() if c.dims == (name,)}
+        found[name] = own[name] if name in own else together(own)
+    return found
 
 
 def example(axes: Mapping[str, Array], name: str) -> str:
@@ -75,14 +87,53 @@ def pick(
             index.append(slice(None))
             continue
         number = wanted[name]
-        at = _nearest_place(number, along.get(number, next(iter(along.values()))), selection)
+        at = nearest_place(number, along.get(number, next(iter(along.values()))), selection[number])
         index.append(at)
         chosen |= {n: values[at].item() for n, values in along.items()}
     return tuple(index), chosen, [name for name in within if name not in wanted]
 
 
-def _nearest_place(name: str, values: Array, selection: Mapping[str, Any]) -> int:
-    wanted = selection[name]
+def view_of(
+    dataset: "xarray.Dataset",
+    axes: Mapping[str, Array],
+    selection: Mapping[str, Any],
+    call: str,
+    *,
+    others: tuple[str, ...] = (),
+) -> "xarray.Dataset":
+    """Return a dataset at a selection; one of the axes may be left.
+
+    Raises `ValueError` as `pick` does, or where more are left; its advice is the `call`.
+    """
+    index, _, left = pick(axes, selection, others=others)
+    if len(left) > 1:
+        raise ValueError(
+            f"{len(left)} axes are left, {' and '.join(left)}: give a value of all but one, such "
+            f"as {call}({example(axes, left[0])})."
+        )
+    return dataset.isel(dict(zip(axes, index, strict=True)))
+
+
+def lane_of(
+    dataset: "xarray.Dataset", axes: Mapping[str, Array], selection: Mapping[str, Any]
+) -> "xarray.Dataset":
+    """Return a dataset at one value of every axis; of an axis with one value, it is that.
+
+    Raises `ValueError` as `pick` does, or for an axis without a value.
+    """
+    index, _, left = pick(axes, selection)
+    if left := [name for name in left if len(axes[name]) > 1]:
+        told = example(axes, left[0])
+        raise ValueError(f"Give a value of {' and '.join(left)} too, such as {told}.")
+    lane = (0 if isinstance(at, slice) else at for at in index)
+    return dataset.isel(dict(zip(axes, lane, strict=True)))
+
+
+def nearest_place(name: str, values: Array, wanted: Any) -> int:
+    """Return where the value nearest to a number lies, or a word.
+
+    Raises `ValueError` for what is no finite number, or a word that is none of the values.
+    """
     if values.dtype.kind not in "fiu":
         known = values.tolist()
         if wanted not in known:
@@ -109,6 +160,12 @@ class AxisScale(NamedTuple):
     """What changes along with it, for a label of the axis."""
     is_scale: bool
     """Whether the places are values of the number, not merely counted."""
+
+    @property
+    def label(self) -> str:
+        """Long name and unit of the number, and what changes along with it."""
+        told = axis_description(self.number)
+        return with_unit(told["long_name"], told["units"]) + self.partners
 
 
 def axis_scale(axes: Mapping[str, Array], name: str) -> AxisScale:

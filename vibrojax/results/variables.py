@@ -111,10 +111,22 @@ VARIABLES = {
 }
 
 
-def described_as(name: str, ratio_units: str = "1") -> dict[str, str]:
+def described_as(name: str, ratio_units: str = "1", axis_units: str = "axis") -> dict[str, str]:
     """Return unit and long name of a variable as the attributes that xarray shows."""
     units, long_name = VARIABLES[name]
-    return {"units": ratio_units if units == "ratio" else units, "long_name": long_name}
+    units = {"ratio": ratio_units, "axis": axis_units}.get(units, units)
+    return {"units": units, "long_name": long_name}
+
+
+def with_unit(long_name: str, units: str) -> str:
+    """Return a name with its unit, `Contact force (N)`; that of a plain number alone."""
+    return long_name if units in ("1", "ratio", "axis") else f"{long_name} ({units})"
+
+
+def label_of(name: str, ratio_units: str = "1") -> str:
+    """Return the long name of a variable with its unit."""
+    units, long_name = VARIABLES[name]
+    return with_unit(long_name, ratio_units if units == "ratio" else units)
 
 
 def axis_unit(axis: str) -> str:

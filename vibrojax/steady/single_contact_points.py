@@ -43,6 +43,16 @@ class Points(NamedTuple):
     valid: Bool[AnyArray, "..."]
 
 
+class Surface(NamedTuple):
+    """The gap ratio on a grid."""
+
+    fractions: Float[np.ndarray, " fractions"]
+    frequencies: Float[np.ndarray, " frequencies"]
+    gap_ratio: Float[np.ndarray, "fractions frequencies"]
+    slope: Float[np.ndarray, "fractions frequencies"]
+    """Derivative of it in the contact fraction."""
+
+
 @eqx.filter_jit
 def _batch(
     phases: ContactPhases,

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,10 +14,10 @@ from vibrojax._tools.signatures import validated
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.systems import AbstractSystem, as_arrays, equations_of
 from vibrojax.results.saving import save_dataset
-from vibrojax.results.variables import VARIABLES
+from vibrojax.results.variables import described_as
 from vibrojax.steady.single_contact import unit_phases
 from vibrojax.steady.single_contact_folds import newton_step, places_around
-from vibrojax.steady.single_contact_points import Points, evaluate, gap_surface
+from vibrojax.steady.single_contact_points import Points, Surface, evaluate, gap_surface
 
 if TYPE_CHECKING:
     import xarray
@@ -38,15 +38,6 @@ ACCURATE = 1e-10
 """Largest relative last step to a fold."""
 ITERATIONS = 9
 """Of Newton's method to a fold, from the middle of a cell."""
-
-
-class Surface(NamedTuple):
-    """The gap ratio on a grid, shape (fractions, frequencies)."""
-
-    fractions: Array
-    frequencies: Array
-    gap_ratio: Array
-    slope: Array
 
 
 class SingleContactResponse(eqx.Module):
@@ -141,7 +132,7 @@ class SingleContactResponse(eqx.Module):
         )
         return found[np.append(True, np.diff(found) > 1e-8 * found[1:])] if len(found) else found
 
-    def _surface(self) -> "Surface":
+    def _surface(self) -> Surface:
         """Gap ratio and slope on a grid fine enough for the ridge of the resonance."""
         phases = eqx.filter_jit(unit_phases)(_equations(self.system))
         fractions, frequencies = _finer(self.contact_fraction, 4), _finer(self.frequencies, 2)
@@ -179,8 +170,7 @@ class SingleContactResponse(eqx.Module):
         import xarray
 
         def described(name: str) -> dict[str, Any]:
-            unit, long_name = VARIABLES[name]
-            return {"units": {"ratio": self.ratio_units}.get(unit, unit), "long_name": long_name}
+            return described_as(name, self.ratio_units)
 
         dims = ("contact_fraction", self.axis)
         data: dict[str, Any] = {
@@ -214,9 +204,22 @@ class SingleContactResponse(eqx.Module):
 
         `gap_ratios` are gaps over drive amplitude.
         """
+        if min(self.gap_ratio.shape) < 2:
+            raise ValueError(
+                "A picture needs at least two frequencies and two contact fractions, got "
+                f"{self.gap_ratio.shape[1]} and {self.gap_ratio.shape[0]}."
+            )
+        own = self.own_gap_ratio
+        wanted = [own * k for k in (0.25, 0.5, 1.0, 2.0, 4.0)] if gap_ratios is None else gap_ratios
+        values = sorted({self._gap_ratio(float(v)) for v in wanted})
         from vibrojax.plot.single_contact import plot_single_contact
+        from vibrojax.steady.single_contact_levels import Levels
 
-        return plot_single_contact(self, gap_ratios)
+        lines = Levels(self.frequencies, self.touch_gap_ratio, self._surface(), self._evaluate)
+        levels = [(value, bool(np.isclose(value, own)), lines.level(value)) for value in values]
+        if gap_ratios is None:
+            levels = [level for level in levels if level[2].drawn.any()]
+        return plot_single_contact(self.to_xarray(), levels, lines.folds())
 
     def __repr__(self) -> str:
         shape = f"contact_fraction: {len(self.contact_fraction)}, {self.axis}: "

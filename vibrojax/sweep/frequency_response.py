@@ -7,8 +7,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
-from vibrojax.results.axes import coordinates_of
+from vibrojax.results.axes import coordinates_of, view_of
 from vibrojax.results.saving import save_dataset
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES, described_as
@@ -160,11 +161,9 @@ class FrequencyResponse(eqx.Module):
         outer = tuple(self.axes)
         dims = (*outer, "direction", self.axis)
         axis_units = VARIABLES[self.axis].units
-        units = {"ratio": self.ratio_units, "axis": axis_units}
 
         def described(name: str) -> dict[str, Any]:
-            unit, long_name = VARIABLES[name]
-            return {"units": units.get(unit, unit), "long_name": long_name}
+            return described_as(name, self.ratio_units, axis_units)
 
         data: dict[str, Any] = {
             name: (dims, np.asarray(getattr(self, name)), described(name)) for name in self.curves
@@ -201,9 +200,20 @@ class FrequencyResponse(eqx.Module):
         `selection` picks one value (nearest) of each other axis, which is drawn as lines where it
         is left out. Raises `ValueError` for an unknown variable or axis.
         """
-        from vibrojax.plot.style import plot_frequency_response
+        if variable not in self.curves:
+            raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, self.curves)}")
+        directions = self.directions
+        if (wanted := selection.pop("direction", None)) is not None:
+            if wanted not in directions:
+                raise ValueError(
+                    f"direction must be one of those swept, {', '.join(directions)}, got "
+                    f"{wanted!r}."
+                )
+            directions = (wanted,)
+        view = view_of(self.to_xarray(), self.axes, selection, "plot", others=("direction",))
+        from vibrojax.plot.frequency_response import plot_frequency_response
 
-        return plot_frequency_response(self, variable, **selection)
+        return plot_frequency_response(view, variable, directions)
 
     def __repr__(self) -> str:
         shape = ", ".join(f"{name}: {len(v)}" for name, v in self.axes.items())
