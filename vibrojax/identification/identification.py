@@ -106,11 +106,11 @@ class Identification(Fit):
             end = "" if len(self.measured) == 1 else f"_{k}"
             own = fitted_data(m, p)
             if "curve_frequency" in own:
-                told = "Change of the number without the point over its deviation"
+                long_name = "Change of the number without the point over its deviation"
                 own["influence"] = (
                     ("point", "parameter"),
                     self.influence[k],
-                    {"long_name": told, "units": "1"},
+                    {"long_name": long_name, "units": "1"},
                 )
             names = {*own.data_vars, *own.dims} - {"parameter"}
             dataset = dataset.merge(own.rename({n: f"{n}{end}" for n in names}))
