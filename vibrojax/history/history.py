@@ -25,6 +25,7 @@ from vibrojax.history.quantities import (
     unit_and_label,
 )
 from vibrojax.history.samples import SampledMotion
+from vibrojax.history.signals import chirp_signals, signals_of
 from vibrojax.history.spectrum import Spectrum
 from vibrojax.model.systems import AbstractSystem, Motion
 from vibrojax.results.status import Status
@@ -311,7 +312,6 @@ class History(SampledMotion):
         `quantity` and `position` are those of `History.quantity`. Raises `ValueError` for
         an unknown quantity, or a position where there is none.
         """
-        from vibrojax.history.signals import signals_of
         from vibrojax.plot.histories import plot_signals
 
         return plot_signals(np.asarray(self.time), signals_of(self, quantity, position))
@@ -324,7 +324,6 @@ class History(SampledMotion):
         reduction, else the strain energy. Source: Litak et al., fig. 4. Raises `ValueError` for an
         unknown quantity, a system that nothing drives, or a history that holds lanes.
         """
-        from vibrojax.history.signals import chirp_signals
         from vibrojax.plot.histories import plot_signals
 
         return plot_signals(np.asarray(self.time), chirp_signals(self, quantities))

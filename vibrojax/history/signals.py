@@ -15,16 +15,14 @@ from vibrojax.history.quantities import (
     quantity_of,
     unit_and_label,
 )
+from vibrojax.history.samples import SampledMotion
 from vibrojax.model.drives import BaseMotion
 
 if TYPE_CHECKING:
-    from vibrojax.history.samples import SampledMotion
     from vibrojax.plot.histories import Signal
 
 
-def signals_of(
-    history: "SampledMotion", quantity: str, position: ArrayLike | None
-) -> "list[Signal]":
+def signals_of(history: SampledMotion, quantity: str, position: ArrayLike | None) -> "list[Signal]":
     """Return a quantity and the forces of the stops; see `History.plot`."""
     from vibrojax.plot.histories import Signal
 
@@ -33,7 +31,7 @@ def signals_of(
     check_one("position", position, "place x/L")
     nowhere = position is None or quantity == "contact_force" or quantity not in QUANTITIES
     place = "" if nowhere else f" at x/L = {float(np.asarray(position)):g}"
-    values, _ = quantity_of(history, quantity, None if nowhere else position)
+    values = quantity_of(history, quantity, None if nowhere else position)[0]
     units, label = unit_and_label(quantity)
     forces = np.asarray(history.contact_force)
     stops = tuple(f"stop {s + 1}" for s in range(forces.shape[1]))
@@ -41,7 +39,7 @@ def signals_of(
     return [Signal(np.asarray(values), units, label + place), *below]
 
 
-def chirp_signals(history: "SampledMotion", quantities: tuple[str, ...]) -> "list[Signal]":
+def chirp_signals(history: SampledMotion, quantities: tuple[str, ...]) -> "list[Signal]":
     """Return drive, quantities and drive frequency; see `History.plot_chirp`."""
     from vibrojax.plot.histories import Signal
 

@@ -72,16 +72,16 @@ def fitted_data(
     data["curve_frequency"] = ("curve_point", prediction.frequency, at)
     flags = {"unstable": "Whether it lies between folds", "continues": "Whether the next joins it"}
     for name, long_name in flags.items():
-        told = {"long_name": long_name, "units": "1"}
+        about = {"long_name": long_name, "units": "1"}
         values = np.asarray(getattr(prediction, name)).astype(np.int8)
-        data[f"curve_{name}"] = ("curve_point", values, told)
+        data[f"curve_{name}"] = ("curve_point", values, about)
     folds = [(f, way) for way, many in prediction.folds.items() for f in many]
     data["fold"] = ("fold_number", np.array([f for f, _ in folds], float), at)
     sweep = {"long_name": "Sweep that jumps there", "units": "1"}
     data["fold_direction"] = ("fold_number", np.array([way for _, way in folds], str), sweep)
-    for k, (name, values, told) in enumerate(_channels(measured)):
-        data[f"measured_{name}"] = ("point", values, told)
-        data[f"curve_{name}"] = ("curve_point", prediction.channels[:, k], told)
+    for k, (name, values, about) in enumerate(_channels(measured)):
+        data[f"measured_{name}"] = ("point", values, about)
+        data[f"curve_{name}"] = ("curve_point", prediction.channels[:, k], about)
     return xarray.Dataset(data)
 
 

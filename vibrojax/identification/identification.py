@@ -17,6 +17,7 @@ from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continue_response import continue_response
 from vibrojax.identification.fit import Fit
+from vibrojax.identification.fitted_data import Prediction as Prediction
 from vibrojax.identification.fitted_data import fitted_data
 from vibrojax.identification.planning import what_next
 from vibrojax.identification.posterior import Posterior
@@ -105,11 +106,11 @@ class Identification(Fit):
             end = "" if len(self.measured) == 1 else f"_{k}"
             own = fitted_data(m, p)
             if "curve_frequency" in own:
-                told = "Change of the number without the point over its deviation"
+                long_name = "Change of the number without the point over its deviation"
                 own["influence"] = (
                     ("point", "parameter"),
                     self.influence[k],
-                    {"long_name": told, "units": "1"},
+                    {"long_name": long_name, "units": "1"},
                 )
             names = {*own.data_vars, *own.dims} - {"parameter"}
             dataset = dataset.merge(own.rename({n: f"{n}{end}" for n in names}))
