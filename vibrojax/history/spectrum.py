@@ -190,7 +190,10 @@ class Spectrum:
 
     @validated
     def plot(self, span: float | int | None = None, count: int = 8) -> "Figure":
-        """Draw it up to `span` (Hz), with its `count` largest peaks named."""
+        """Draw it up to `span` (Hz), with its `count` largest peaks named.
+
+        Raises `ValueError` for a count below 1 or a span outside of what is possible.
+        """
         check_count("count", count)
         shown = self if span is None else self.up_to(span)
         from vibrojax.plot.spectrum import plot_spectrum
