@@ -12,17 +12,18 @@ from vibrojax.history.quantities import (
     QUANTITIES,
     check_quantity,
     observables_of,
-    quantity_of,
     unit_and_label,
 )
-from vibrojax.history.samples import SampledMotion
 from vibrojax.model.drives import BaseMotion
 
 if TYPE_CHECKING:
+    from vibrojax.history.samples import SampledMotion
     from vibrojax.plot.histories import Signal
 
 
-def signals_of(history: SampledMotion, quantity: str, position: ArrayLike | None) -> "list[Signal]":
+def signals_of(
+    history: "SampledMotion", quantity: str, position: ArrayLike | None
+) -> "list[Signal]":
     """Return a quantity and the forces of the stops; see `History.plot`."""
     from vibrojax.plot.histories import Signal
 
@@ -31,7 +32,7 @@ def signals_of(history: SampledMotion, quantity: str, position: ArrayLike | None
     check_one("position", position, "place x/L")
     nowhere = position is None or quantity == "contact_force" or quantity not in QUANTITIES
     place = "" if nowhere else f" at x/L = {float(np.asarray(position)):g}"
-    values = quantity_of(history, quantity, None if nowhere else position)[0]
+    values = history.quantity(quantity, None if nowhere else position)
     units, label = unit_and_label(quantity)
     forces = np.asarray(history.contact_force)
     stops = tuple(f"stop {s + 1}" for s in range(forces.shape[1]))
@@ -39,7 +40,7 @@ def signals_of(history: SampledMotion, quantity: str, position: ArrayLike | None
     return [Signal(np.asarray(values), units, label + place), *below]
 
 
-def chirp_signals(history: SampledMotion, quantities: tuple[str, ...]) -> "list[Signal]":
+def chirp_signals(history: "SampledMotion", quantities: tuple[str, ...]) -> "list[Signal]":
     """Return drive, quantities and drive frequency; see `History.plot_chirp`."""
     from vibrojax.plot.histories import Signal
 
@@ -62,5 +63,5 @@ def chirp_signals(history: SampledMotion, quantities: tuple[str, ...]) -> "list[
         driven = Signal(base, "m", "Base displacement")
     else:
         driven = Signal(np.asarray(drive.input(motion.waveform, time)), "N", "Drive force")
-    shown = [Signal(np.asarray(quantity_of(history, n)[0]), *unit_and_label(n)) for n in quantities]
+    shown = [Signal(np.asarray(history.quantity(n)), *unit_and_label(n)) for n in quantities]
     return [driven, *shown, Signal(np.asarray(rate) / (2 * np.pi), "Hz", "Drive frequency")]

@@ -17,7 +17,6 @@ from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continue_response import continue_response
 from vibrojax.identification.fit import Fit
-from vibrojax.identification.fitted_data import Prediction as Prediction
 from vibrojax.identification.fitted_data import fitted_data
 from vibrojax.identification.planning import what_next
 from vibrojax.identification.posterior import Posterior
@@ -106,11 +105,11 @@ class Identification(Fit):
             end = "" if len(self.measured) == 1 else f"_{k}"
             own = fitted_data(m, p)
             if "curve_frequency" in own:
-                long_name = "Change of the number without the point over its deviation"
+                told = "Change of the number without the point over its deviation"
                 own["influence"] = (
                     ("point", "parameter"),
                     self.influence[k],
-                    {"long_name": long_name, "units": "1"},
+                    {"long_name": told, "units": "1"},
                 )
             names = {*own.data_vars, *own.dims} - {"parameter"}
             dataset = dataset.merge(own.rename({n: f"{n}{end}" for n in names}))
