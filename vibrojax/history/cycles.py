@@ -211,13 +211,8 @@ class Cycles:
     def plot(self, orders: Sequence[int] = (1, 3, 5)) -> "Figure":
         """Draw the length of every cycle in drive periods against the drive frequency.
 
-<<<<<<< HEAD
         Lines mark `orders` drive periods, whole numbers; another raises `ValueError`. Source of the
         picture: Litak et al., fig. 4.
-=======
-        Lines mark `orders` drive periods. Source of the picture: Litak et al., fig. 4. Raises
-        `ValueError` for orders below 1.
->>>>>>> h-twins
         """
         for order in orders:
             check_count("orders", order)

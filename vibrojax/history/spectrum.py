@@ -192,11 +192,7 @@ class Spectrum:
     def plot(self, span: float | int | None = None, count: int = 8) -> "Figure":
         """Draw it up to `span` (Hz), with its `count` largest peaks named.
 
-<<<<<<< HEAD
         Raises `ValueError` for a count below 1, or a span beyond the spectrum.
-=======
-        Raises `ValueError` for a count below 1 or a span outside of what is possible.
->>>>>>> h-twins
         """
         check_count("count", count)
         shown = self if span is None else self.up_to(span)
