@@ -12,6 +12,7 @@ from vibrojax.history.quantities import (
     QUANTITIES,
     check_quantity,
     observables_of,
+    quantity_of,
     unit_and_label,
 )
 from vibrojax.model.drives import BaseMotion
@@ -32,7 +33,7 @@ def signals_of(
     check_one("position", position, "place x/L")
     nowhere = position is None or quantity == "contact_force" or quantity not in QUANTITIES
     place = "" if nowhere else f" at x/L = {float(np.asarray(position)):g}"
-    values = history.quantity(quantity, None if nowhere else position)
+    values, _ = quantity_of(history, quantity, None if nowhere else position)
     units, label = unit_and_label(quantity)
     forces = np.asarray(history.contact_force)
     stops = tuple(f"stop {s + 1}" for s in range(forces.shape[1]))
@@ -63,5 +64,5 @@ def chirp_signals(history: "SampledMotion", quantities: tuple[str, ...]) -> "lis
         driven = Signal(base, "m", "Base displacement")
     else:
         driven = Signal(np.asarray(drive.input(motion.waveform, time)), "N", "Drive force")
-    shown = [Signal(np.asarray(history.quantity(n)), *unit_and_label(n)) for n in quantities]
+    shown = [Signal(np.asarray(quantity_of(history, n)[0]), *unit_and_label(n)) for n in quantities]
     return [driven, *shown, Signal(np.asarray(rate) / (2 * np.pi), "Hz", "Drive frequency")]
