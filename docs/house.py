@@ -10,10 +10,12 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "vibrojax"
 FLOORS = (
     {"cli": "commands", "explorer": "sliders"},
-    {"resolution": "how fine is enough"},
-    {"maps": "over many numbers", "identification": "numbers from measurements"},
-    {"regime": "kinds of motion, basins"},
-    {"branches": "followed, with folds"},
+    {
+        "resolution": "how fine is enough",
+        "maps": "over many numbers",
+        "identification": "from measurements",
+    },
+    {"regime": "kinds of motion, basins", "branches": "followed, with folds"},
     {"sweep": "up and down the frequency", "steady": "one periodic motion"},
     {"history": "a motion in time", "io": "rig files", "measured": "what was measured"},
     {"stepping": "one step forward, exact contact"},
@@ -90,8 +92,14 @@ def drawing(found: dict[str, set[str]]) -> str:
             if (upper, lower) not in pairs:
                 continue
             if y2 == y1 + PITCH:
-                x = x1 + w1 / 2 if w1 < w2 else x2 + w2 / 2
-                parts.append(_arrow(x, y1 + HEIGHT, x, y2 - 2))
+                left, right = max(x1, x2), min(x1 + w1, x2 + w2)
+                if left < right:
+                    start = end = (left + right) / 2
+                elif left == x1:  # aslant, between the corners that are nearest
+                    start, end = left + 40, right - 40
+                else:
+                    start, end = right - 40, left + 40
+                parts.append(_arrow(start, y1 + HEIGHT, end, y2 - 2))
             elif y2 == y1 and x2 == x1 + w1 + GAP:
                 parts.append(_arrow(x1 + w1 + 1, y1 + HEIGHT / 2, x2 - 2, y1 + HEIGHT / 2))
     for floor in FLOORS:
