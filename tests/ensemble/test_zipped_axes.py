@@ -150,7 +150,7 @@ def test_regimes_and_diagrams_of_a_group():
     assert found.to_xarray().period.dims == ("taper_gap", "frequency_ratio")
     drawn(found.plot())
     drawn(found.poincare(taper=0.5))
-    title = drawn(found.plot(taper=0.5)).axes[1].get_title(loc="left")
+    title = drawn(found.plot(taper=0.5)).axes[0].get_title(loc="left")
     assert title == "taper = 0.5, gap = 0.0004 m"
     diagram = vj.bifurcation_diagram(build, GROUP, frequency_ratio=GRID, lyapunov=False, **few)
     assert diagram.to_xarray().period.dims == ("taper_gap", "direction", "frequency_ratio")

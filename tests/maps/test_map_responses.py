@@ -114,6 +114,7 @@ def area_under(curve):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_of_sweeps():
     measures = {"area_under": area_under, "peak": lambda c: jnp.nanmax(c["amplitude_ratio"])}
 

@@ -236,7 +236,7 @@ def test_memory_bounds_the_chunks():
             dry_run=True,
         )
 
-    small, large = planned(1e6), planned(1e9)
+    small, large = planned(4e5), planned(1e9)
     assert small.lanes_per_chunk < 0.2 * large.lanes_per_chunk
     assert small.memory_bytes <= 1e6
 

@@ -123,6 +123,7 @@ def from_rest(rig):
     return vj.periodic_response(rig(), frequency_ratio=1.05)
 
 
+@pytest.mark.long  # to compile
 @pytest.mark.slow
 def test_from_rest(from_rest, solved, tmp_path):
     at = SINGLE["ratio"].tolist().index(1.05)
@@ -142,6 +143,7 @@ def test_from_rest(from_rest, solved, tmp_path):
     assert batch.initial_state.dims == ("lane_0", "state")
 
 
+@pytest.mark.long  # to compile
 @pytest.mark.slow
 def test_history_of_the_motion(from_rest):
     history = from_rest.history()
@@ -208,12 +210,9 @@ def test_reverse_gradients_in_a_batch(case):
     np.testing.assert_allclose(values[2] - values[0], along, rtol=1e-4)
 
 
+@pytest.mark.long  # to compile
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "case",
-    [GRADIENTS[0], pytest.param(GRADIENTS[1], marks=pytest.mark.long)],
-    ids=["printed", "no tension"],
-)
+@pytest.mark.parametrize("case", GRADIENTS, ids=["printed", "no tension"])
 def test_gradients_in_both_modes(case):
     outputs, theta = outputs_of(case)
     value, slopes = expected_of(case)
@@ -242,7 +241,7 @@ def by_method(rig, method, tolerance):
     """Amplitude, force and their gradients by gap and stiffness (relative) at ratio 1.1."""
 
     def outputs(scale):
-        one = rig(gap=0.4e-3 * scale[0], stiffness=5500.0 * scale[1], num_modes=1)
+        one = rig(gap=0.4e-3 * scale[0], stiffness=5500.0 * scale[1])
         found = vj.periodic_response(
             one, frequency_ratio=1.12 * scale[2], method=method, tolerance=tolerance
         )
@@ -271,6 +270,7 @@ METHODS = {
 }
 
 
+@pytest.mark.long  # to compile
 @pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_methods_agree(rig, exactly, name):
@@ -305,6 +305,7 @@ def oscillator_system(stiffness=50.0):
     )
 
 
+@pytest.mark.long  # to compile
 @pytest.mark.slow
 def test_period_doubling():
     """The motion of period 1 is unstable between 0.844 and 0.9285; at 0.9275 period 2 is stable."""
@@ -330,9 +331,10 @@ def test_period_doubling():
     assert np.abs(once - np.asarray(double.initial_state)).max() > 1e-3
 
 
+@pytest.mark.long  # to compile
 @pytest.mark.slow
 def test_without_contact_or_stops_it_is_the_linear_response(rig):
-    one = rig(num_modes=2)
+    one = rig()
     equations = one.equations()
     w, ratio = np.asarray(equations.angular_frequency), 0.9
     drive = ratio * w[0]

@@ -164,7 +164,7 @@ def check_continued(system: AbstractSystem) -> None:
 
 def check_equations(system: AbstractSystem, equations: AbstractEquations) -> None:
     """Refuse, with a `ValueError`, equations that are not linear but for stops."""
-    if equations.linear is None:
+    if equations.linear_between_contacts is None:
         raise ValueError(
             f"{type(system).__name__} is not linear but for its stops, which harmonic balance "
             "needs. Use periodic_response(..., method=Shooting()) at single points."

@@ -150,7 +150,7 @@ def largest(
 
 
 def _check(motion: Motion) -> None:
-    linear = motion.equations.linear
+    linear = motion.equations.linear_between_contacts
     if linear is None:
         raise ValueError(
             "The motion between samples is known of systems that are linear but for their stops "
@@ -179,7 +179,7 @@ class _Measured(NamedTuple):
 
 
 def _measure(motion: Motion, time: Times, pieces: Pieces, drives: Drives) -> _Measured:
-    phases, linear = motion.prepared, motion.equations.linear
+    phases, linear = motion.prepared, motion.equations.linear_between_contacts
     assert linear is not None
     places = places_for(phases, float(np.max(np.diff(time))))
     length = pieces.end - pieces.start

@@ -252,7 +252,7 @@ def starting_phases(
     motion: Motion, time: Float[np.ndarray, " samples"], states: Float[np.ndarray, "samples states"]
 ) -> Int[np.ndarray, " samples"]:
     """Return the phase of every sample."""
-    phases, equations = motion.prepared, motion.equations.linear
+    phases, equations = motion.prepared, motion.equations.linear_between_contacts
     assert equations is not None
     drive_input = motion.drive.input(motion.waveform, jnp.asarray(time))
     unit_rate, near = _scales(phases, equations, states)
@@ -276,7 +276,7 @@ def exact_pieces(
 
     Raises `ValueError` when an interval holds more than `MOST_ROUNDS` events.
     """
-    phases, equations = motion.prepared, motion.equations.linear
+    phases, equations = motion.prepared, motion.equations.linear_between_contacts
     duration, drives = np.diff(time), drives_of(motion, time)
     places = places_for(phases, float(np.max(duration)))
     assert equations is not None

@@ -93,7 +93,7 @@ class Histories(eqx.Module):
         Raises `ValueError` for an unknown quantity, or `most` below 1.
         """
         check_count("most", most)
-        check_quantity(self.lanes.motion.equations, quantity)
+        check_quantity(self[0].motion.equations, quantity)
         count = len(self)
         scales = [axis_scale(self.axes, name) for name in self.axes]
         lines = []

@@ -251,7 +251,7 @@ class History(SampledMotion):
         does.
         """
         check_choice("quantity", quantity, tuple(QUANTITIES))
-        if self.motion.equations.linear is None:
+        if self.motion.equations.linear_between_contacts is None:
             raise ValueError(
                 "Peaks between samples are known of systems that are linear but for their stops. "
                 "Sample finely, and take the largest of history.quantity(...)."
@@ -277,7 +277,7 @@ class History(SampledMotion):
             )
 
         unit, modal, along = self.motion.equations.coordinate_units, "Generalised ", "coordinate"
-        if self.motion.equations.linear is not None:
+        if self.motion.equations.linear_between_contacts is not None:
             modal, along = "Modal ", "mode"
         parts = {
             "coordinates": (unit, "coordinates"),

@@ -56,8 +56,8 @@ def spectrum_of_history(
     equations, waveform, drive = motion.equations, motion.waveform, motion.drive
     _, angular, second = waveform.phase(jnp.zeros(()))
     clock, natural = float(angular) / (2 * np.pi), np.zeros(0)
-    if equations.linear is not None:
-        natural = np.asarray(equations.linear.angular_frequency) / (2 * np.pi)
+    if equations.linear_between_contacts is not None:
+        natural = np.asarray(equations.linear_between_contacts.angular_frequency) / (2 * np.pi)
     if np.max(natural, initial=0.0) > rate / 2:
         if quantity in QUANTITIES:
             moved, _, pushed = displacement_of(history, position)

@@ -113,7 +113,7 @@ def displacement_of(
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
     """Return the displacement, velocity and acceleration of a history."""
     equations = history.motion.equations
-    if position is None and equations.linear is None:
+    if position is None and equations.linear_between_contacts is None:
         return observable_motion(history, "displacement")
     shape = history.shape_at(position)
     return history.coordinates @ shape, history.rates @ shape, history.accelerations @ shape

@@ -44,7 +44,7 @@ class SampledMotion(eqx.Module):
 
         Raises `ValueError` for a place that the system does not have.
         """
-        linear = self.motion.equations.linear
+        linear = self.motion.equations.linear_between_contacts
         if position is None and linear is not None:
             return linear.response_map
         if position is None or self.system.reported_place is None:

@@ -50,12 +50,12 @@ def motion(
     equations = equations_of(as_arrays(system))
     if waveform is None:
         if frequency is None:
-            if equations.linear is None:
+            if equations.linear_between_contacts is None:
                 raise ValueError(
                     "This system has no natural frequency: give frequency in Hz, which sets the "
                     "steps where nothing drives."
                 )
-            natural = equations.linear.angular_frequency[0] / (2 * jnp.pi)
+            natural = equations.linear_between_contacts.angular_frequency[0] / (2 * jnp.pi)
             # Without a drive the first natural frequency only serves as a clock.
             frequency = natural * (1.0 if frequency_ratio is None else frequency_ratio)
         waveform = Harmonic(jnp.asarray(frequency))
@@ -244,7 +244,7 @@ def _grid(period, periods, duration, samples_per_period, samples, sampling_rate)
 
 def _check_sampling(sampling_rate, run):
     """Refuse a sampling rate (Hz) that cannot show the highest mode."""
-    linear = run.equations.linear
+    linear = run.equations.linear_between_contacts
     if linear is None:
         return
     highest = concrete(jnp.max(linear.angular_frequency) / (2 * jnp.pi))

@@ -329,7 +329,7 @@ class HistoryMisfit:
 def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractSystem) -> Plan:
     """Decide what is computed. Raises `ValueError` for a history the system cannot have."""
     kind = type(system).__name__
-    if system.equations().linear is None:
+    if system.equations().linear_between_contacts is None:
         raise ValueError(
             f"{kind} is not linear but for its stops: histories of such a system are not fitted."
         )

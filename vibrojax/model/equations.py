@@ -38,7 +38,7 @@ class AbstractEquations(eqx.Module):
         return False
 
     @property
-    def linear(self) -> "LinearEquations | None":
+    def linear_between_contacts(self) -> "LinearEquations | None":
         """These equations, if they are linear while no stop changes its contact; else None.
 
         With it goes all that is known in closed form: natural frequencies, exact contact, harmonic
@@ -251,7 +251,7 @@ class LinearEquations(AbstractEquations):
         return True
 
     @property
-    def linear(self) -> "LinearEquations":
+    def linear_between_contacts(self) -> "LinearEquations":
         """These equations."""
         return self
 

@@ -140,7 +140,7 @@ def regime_method(
     check_steps(step_tolerance, steps_per_period)
     check_drive(sample)
     equations = eqx.filter_eval_shape(as_arrays(sample).equations)
-    if axis == "frequency_ratio" and equations.linear is None:
+    if axis == "frequency_ratio" and equations.linear_between_contacts is None:
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
     return choose_method(sample, method, step_tolerance, steps_per_period)
 

@@ -102,7 +102,7 @@ class ParameterPath(AbstractPath):
     def at(self, parameter: Float[Array, ""]) -> Place:
         """Make the system anew."""
         system = self.make(**self.static, **self.fixed, **{self.name: parameter})
-        equations = system.equations().linear
+        equations = system.equations().linear_between_contacts
         assert equations is not None  # checked before
         unit = equations.angular_frequency[0] if self.is_ratio else 2 * jnp.pi
         return Place(equations, system.drive, self.frequency * unit)
@@ -145,7 +145,7 @@ def _localise(paths: AbstractPath, parameter: Float[AnyArray, " points"], exact:
 
 def frequency_path(system: AbstractSystem, is_ratio: bool, exact: bool) -> FrequencyPath:
     """Make the path along the drive frequency (a ratio to the first natural one, or Hz)."""
-    equations = system.equations().linear
+    equations = system.equations().linear_between_contacts
     assert equations is not None  # checked before
     unit = equations.angular_frequency[0] if is_ratio else jnp.asarray(2 * jnp.pi)
     phases = contact_phases(equations) if exact else None

@@ -86,7 +86,7 @@ def periodic_response(
         raise ValueError(f"method must be Shooting() or HarmonicBalance(), got {method!r}.")
     arrays, value = as_arrays(system), jnp.asarray(value, float)
     equations = eqx.filter_eval_shape(arrays.equations)
-    linear = equations.linear
+    linear = equations.linear_between_contacts
     if is_ratio and linear is None:
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
     state = None if guess is None else as_state("guess", guess, equations)

@@ -292,8 +292,8 @@ def reading_of(
 def compared(place: Any, strobes: Array, guess: Array | None) -> tuple[Array, Array]:
     """Return the periods after which a motion repeats first, and its distance from a guess."""
     equations, count = place.equations, strobes.shape[0]
-    if equations.linear is not None:
-        weight = equations.linear.energy_weight
+    if equations.linear_between_contacts is not None:
+        weight = equations.linear_between_contacts.energy_weight
     else:
         n = equations.size
         weight = jnp.ones(strobes.shape[1]).at[n : 2 * n].set(1 / place.angular_frequency)

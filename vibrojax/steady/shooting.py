@@ -43,7 +43,7 @@ def shoot(
     solver = method.solver
     if solver is None:
         equations = eqx.filter_eval_shape(system.equations)
-        if equations.stops or equations.linear is not None:
+        if equations.stops or equations.linear_between_contacts is not None:
             solver = choose_method(system, None, 1e-6 if exact else 1e-4, None)
         else:
             solver = diffrax.Tsit5()  # nothing is stiff or sharp for all that is known

@@ -71,7 +71,7 @@ def check_single_stop(equations: AbstractEquations) -> LinearEquations:
     Raises `ValueError` unless they are linear with one `KelvinVoigt` stop that may pull
     (tension=True) and is not smoothed.
     """
-    linear = equations.linear
+    linear = equations.linear_between_contacts
     if linear is None:
         raise ValueError(
             "Single-contact motions need a system that is linear between contacts, got "

@@ -231,7 +231,7 @@ class SingleContactResponse(eqx.Module):
 
 
 def _equations(system: AbstractSystem) -> LinearEquations:
-    equations = equations_of(as_arrays(system)).linear
+    equations = equations_of(as_arrays(system)).linear_between_contacts
     assert equations is not None  # checked before the result was made
     return equations
 

@@ -24,7 +24,7 @@ def _shapes(system: AbstractSystem) -> AbstractEquations:
 def is_exact(system: AbstractSystem) -> bool:
     """Return whether flight and contact of the system can be propagated exactly."""
     shapes = _shapes(system)
-    if shapes.linear is None or shapes.linear.stiffness_sign is not None:
+    if shapes.linear_between_contacts is None or shapes.linear_between_contacts.stiffness_sign is not None:
         # What falls away ends at rest on its stops, where landings come too thick.
         return False
     stops = _stops(system)
@@ -59,7 +59,7 @@ def choose_method(
         return method
     if exact:
         return ExactContact(tolerance, steps_per_period)
-    linear = _shapes(system).linear
+    linear = _shapes(system).linear_between_contacts
     modal = linear is not None and linear.damping_coupling is None
     # Modes that the damping couples have no exact drift of their own.
     return (ExponentialSplitting if modal else LinearlyImplicit)(tolerance, steps_per_period)
@@ -70,6 +70,6 @@ _contact_phases = eqx.filter_jit(contact_phases)
 
 def prepare_motion(system: AbstractSystem, equations: AbstractEquations) -> ContactPhases | None:
     """Compute the phases of `ExactContact` where that method suits the system."""
-    if equations.linear is not None and is_exact(system):
-        return _contact_phases(equations.linear)
+    if equations.linear_between_contacts is not None and is_exact(system):
+        return _contact_phases(equations.linear_between_contacts)
     return None

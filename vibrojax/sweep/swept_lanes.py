@@ -75,8 +75,8 @@ def _prepare(method: AbstractMethod, rigs: Rigs) -> Prepared:
 
 
 def _first_frequency(equations: AbstractEquations) -> Array:
-    if equations.linear is not None:
-        return equations.linear.angular_frequency[0]
+    if equations.linear_between_contacts is not None:
+        return equations.linear_between_contacts.angular_frequency[0]
     return jnp.asarray(jnp.nan)
 
 
