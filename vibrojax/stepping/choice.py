@@ -23,8 +23,8 @@ def _shapes(system: AbstractSystem) -> AbstractEquations:
 
 def is_exact(system: AbstractSystem) -> bool:
     """Return whether flight and contact of the system can be propagated exactly."""
-    shapes = _shapes(system)
-    if shapes.linear_between_contacts is None or shapes.linear_between_contacts.stiffness_sign is not None:
+    linear = _shapes(system).linear_between_contacts
+    if linear is None or linear.stiffness_sign is not None:
         # What falls away ends at rest on its stops, where landings come too thick.
         return False
     stops = _stops(system)
