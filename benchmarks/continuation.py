@@ -12,13 +12,12 @@ import platform
 import time
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.branches.continuation import LONGEST_STEP, Settings, begin
-from vibrojax.branches.lane_paths import frequency_paths
-from vibrojax.branches.tracing import free_motion, make_exact, trace_branches
+from vibrojax.branches.along import frequency_paths
+from vibrojax.branches.over_range import trace_over
+from vibrojax.branches.tracing import make_exact
 from vibrojax.ensemble.lanes import lanes_of
 
 BOUNDS = (0.85, 1.31)
@@ -38,20 +37,10 @@ def batch(samples: int, lanes: int) -> dict:
     """Points per second over lanes that differ in gap: traced, and made exact with stability."""
     gaps = list(np.linspace(0.2e-3, 0.8e-3, lanes)) if lanes > 1 else [0.4e-3]
     paths = frequency_paths(lanes_of(vj.default_rig, {"gap": gaps}).systems, True, True)
-    one = np.ones(lanes)
-    settings = Settings(
-        BOUNDS[0] * one,
-        BOUNDS[0] * one,
-        BOUNDS[1] * one,
-        one,
-        one,
-        jnp.asarray(1e-4),
-        jnp.asarray(LONGEST_STEP),
-    )
+    start_at = np.full(lanes, BOUNDS[0])
 
     def trace():
-        guess = free_motion(paths, settings.start, samples, 1)
-        return trace_branches(paths, settings, begin(guess, settings.start), samples=samples)
+        return trace_over(paths, start_at, *BOUNDS, scale=1.0, samples=samples)
 
     start = time.perf_counter()
     traced = trace()
@@ -86,7 +75,7 @@ def whole_curve() -> dict:
     """The public call on the default rig: exact points, stability, refined folds."""
 
     def run():
-        return vj.continue_response(vj.default_rig(), frequency_ratio=BOUNDS)
+        return vj.continue_response(vj.default_rig(), frequency_ratio=vj.Range(*BOUNDS))
 
     start = time.perf_counter()
     run()

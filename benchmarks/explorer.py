@@ -28,7 +28,8 @@ import numpy as np
 from playwright.sync_api import Page, TimeoutError, sync_playwright
 
 CODE = (
-    "import vibrojax as vj\nvj.explore(vj.default_rig, gap=(0.1e-3, 1e-3), stiffness=(500, 50000))"
+    "import vibrojax as vj\nvj.explore(vj.default_rig, gap=vj.Range(0.1e-3, 1e-3), "
+    "stiffness=vj.Range(500, 50000))"
 )
 FLAGS = [
     "--no-sandbox",

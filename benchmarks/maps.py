@@ -27,19 +27,18 @@ AXES = {
     "stiffness": np.linspace(1000.0, 10000.0, 8),
 }
 RATIOS = np.linspace(0.95, 1.3, 12)
-SWEEP = vj.SettledSweep(refine_jumps=None)
+SWEEP = vj.SweepSettings(refine_jumps=None)
 
 
 def engine() -> float:
     """Seconds of the bare engine for the lanes of AXES, the rigs already built."""
     from vibrojax.ensemble.arguments import arguments_of
-    from vibrojax.maps.responses import Grid
     from vibrojax.maps.rig_maker import RigMaker
     from vibrojax.sweep.swept_lanes import sweep_rigs
 
     maker = RigMaker(vj.default_rig, arguments_of(vj.default_rig, (), AXES))
     rigs = maker.rigs(tuple(np.arange(len(v)) for v in AXES.values()))
-    plan = SWEEP._plan(maker.sample(), Grid("frequency_ratio", RATIOS, False))
+    plan = SWEEP.plan(maker.sample(), "frequency_ratio", RATIOS)
     started = time.perf_counter()
     sweep_rigs(plan, rigs)
     return time.perf_counter() - started
@@ -124,7 +123,7 @@ def peak(lanes: int) -> dict[str, Any]:
             frequency_ratio=0.9,
             gap=gaps,
             stiffness=np.linspace(5.0, 50.0, 100),
-            response=vj.SettledSweep("forward", max_periods=100),
+            response=vj.SweepSettings("forward", max_periods=100),
             measures=["peak_amplitude_ratio", "largest_contact_force"],
             store=f"{folder}/map.zarr",
         )

@@ -54,7 +54,7 @@ def _phases(problem: exact.Problem):
     return jax.jit(contact_phases)(equations(problem))
 
 
-def _march(problem: exact.Problem, method: vj.stepping.AbstractMethod):
+def _march(problem: exact.Problem, method: vj.stepping.AbstractStepper):
     drive = vj.BaseMotion(problem.base_amplitude)
     return eqx.filter_jit(method.prepare)(equations(problem), drive)
 

@@ -183,7 +183,7 @@ def precision() -> list[dict]:
 
     for step in STEPS:
         method = vj.LinearlyImplicit(longest_step=step)
-        found, spent = timed(lambda m=method: solved(TILT, solver=m))
+        found, spent = timed(lambda m=method: solved(TILT, stepper=m))
         add("vibrojax LinearlyImplicit, diffrax", step, 1, spent, found, DURATION)
         cost = march_cost(system, step, np.full(64, FREQUENCY), 2 / FREQUENCY)
         spent = {"wall": cost["wall"], "processor": cost["processor"]}
@@ -236,10 +236,12 @@ def basin_maps(keep: Callable[[list[dict]], object]) -> list[dict]:
                 angle=np.linspace(-0.14, 0.14, SIDE),
                 rate=np.linspace(-4.0, 4.0, SIDE),
                 units={"angle": "rad", "rate": "rad/s"},
-                transient=150,
-                tolerance=0.02,
-                method=vj.LinearlyImplicit(steps_per_period=steps),
                 progress=False,
+                settings=vj.BasinSettings(
+                    transient=150,
+                    period_tolerance=0.02,
+                    stepper=vj.LinearlyImplicit(steps_per_period=steps),
+                ),
             )
 
         clock, processor = time.perf_counter(), time.process_time()

@@ -14,7 +14,7 @@ import numpy as np
 
 import vibrojax as vj
 
-BOUNDS = (0.6, 2.0)
+BOUNDS = vj.Range(0.6, 2.0)
 CLASSES = ((0.0, 10.0), (10.0, 50.0), (50.0, 200.0), (200.0, np.inf))
 
 

@@ -18,7 +18,9 @@ def branch_and_sweep():
     """Draw the settled points of both directions over the branch, its folds written beside."""
     rig = vj.default_rig()
     sweep = vj.frequency_sweep(rig, frequency_ratio=np.linspace(*RANGE, 51))
-    branch = vj.continue_response(rig, frequency_ratio=RANGE, longest_step=0.04)
+    branch = vj.continue_response(
+        rig, frequency_ratio=vj.Range(*RANGE), settings=vj.ContinuationSettings(longest_step=0.04)
+    )
     print(sweep)
     print(branch)
     figure = branch.plot(sweep=sweep)
@@ -54,9 +56,7 @@ def amplitude_map():
 
 def explorer():
     """Draw the explorer of the default rig as it is where no kernel is live."""
-    view = vj.explore(
-        vj.default_rig, gap=(0.1e-3, 1e-3), stiffness=(500, 50000), frequency_ratio=(0.8, 1.4)
-    )
+    view = vj.explore(vj.default_rig, gap=vj.Range(0.1e-3, 1e-3), stiffness=vj.Range(500, 50000))
     return view.figure()
 
 

@@ -54,7 +54,7 @@ def rig_of(case):
 
 
 def beam_of(taper, mass_ratio):
-    """Make the beam of the references, whose beta and shapes hang on these two only."""
+    """Make the beam of the references, whose beta and shapes depend on these two only."""
     return vj.default_rig(taper=taper, mass_ratio=mass_ratio).beam
 
 
@@ -194,7 +194,7 @@ def folds():
         ratios = [r for direction in DIRECTIONS for r in case[direction]["ratio"]]
         margin = 5e-3
         branch = vj.continue_response(
-            rig_of(case), frequency_ratio=(min(ratios) - margin, max(ratios) + margin)
+            rig_of(case), frequency_ratio=vj.Range(min(ratios) - margin, max(ratios) + margin)
         )
         row = {"rig": name}
         for jump in ("jump_up", "jump_down"):
@@ -350,7 +350,7 @@ def pendulum():
             duration=case["t"][-1],
             samples=len(case["t"]),
             initial_state=(np.full(links, case["alpha0"]), np.zeros(links)),
-            solver=vj.LinearlyImplicit(longest_step=step),
+            stepper=vj.LinearlyImplicit(longest_step=step),
         )
         angle = np.asarray(history.coordinates)[1:, 0]
         row(
@@ -382,7 +382,7 @@ def conservation():
         duration=0.2,
         samples=40,
         initial_state=(np.array(case["alpha0"]), np.zeros(links)),
-        solver=diffrax.Dopri8(),
+        stepper=diffrax.Dopri8(),
         tolerance=1e-11,
     )
     equations = free.equations()

@@ -7,8 +7,9 @@ from importlib.metadata import version
 from pathlib import Path
 
 # What one worker compiled, the others and the next run need not compile again.
-CACHE = Path(__file__).parents[1] / ".pytest_cache" / "jax"
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
+CACHE = Path(__file__).parents[1] / ".pytest_cache"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE / "jax"))
+os.environ.setdefault("VIBROJAX_CACHE", str(CACHE / "vibrojax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 # Tests compile much and compute little: XLA takes a third of the time where it hardly optimises.
@@ -26,31 +27,21 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from exact_propagation import Problem  # noqa: E402
+from tiers import marks_of  # noqa: E402
 
 import vibrojax as vj  # noqa: E402
+from vibrojax._tools.compiled import forget  # noqa: E402
 
 MOST_MAPPINGS = 20_000
 """Of memory in a process, of which Linux allows 65530; every compiled function takes several."""
 
 
-QUICK = {
-    *("test_beam", "test_drive", "test_elastic_pendulum"),
-    *("test_zipped_axes", "test_replay", "test_poincare", "test_single_contact"),
-    *("test_folds", "test_coexisting", "test_period_number", "test_lyapunov", "test_bifurcation"),
-    *("test_map_chunks", "test_regime_map", "test_identification_plot", "test_saving"),
-    *("test_measured_curve", "test_measured_files", "test_measured_history"),
-    *("test_measured_responses", "test_rig_file", "test_cli_fit", "test_interrupts"),
-    *("test_public_names", "test_documentation", "test_notebooks", "test_resolution"),
-    *("test_experiment_gandhi_vyas",),
-}
-"""Files whose tests, but for the slow ones, are run all the time: some of every room."""
-
-
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their markers
 def pytest_collection_modifyitems(items):
     for item in items:
-        if item.path.stem in QUICK and not item.get_closest_marker("slow"):
-            item.add_marker("quick")
+        for mark in marks_of(item.path.stem, item.name):
+            if mark != "quick" or not item.get_closest_marker("slow"):
+                item.add_marker(mark)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -60,6 +51,7 @@ def _room_for_compiled_code():
     mappings = Path("/proc/self/maps")
     if mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
         jax.clear_caches()
+        forget()
         gc.collect()
 
 
@@ -157,13 +149,13 @@ def problem():
 @pytest.fixture(scope="session")
 def rig_branch():
     """Branch of the default rig through both of its folds."""
-    return vj.continue_response(make_rig(), frequency_ratio=(0.85, 1.31))
+    return vj.continue_response(make_rig(), frequency_ratio=vj.Range(0.85, 1.31))
 
 
 @pytest.fixture(scope="session")
 def small_branch():
     """Branch of the default rig with one mode: its folds are at 1.3813 and 1.0972."""
-    return vj.continue_response(make_rig(num_modes=1), frequency_ratio=(0.85, 1.4))
+    return vj.continue_response(make_rig(num_modes=1), frequency_ratio=vj.Range(0.85, 1.4))
 
 
 def public_names():

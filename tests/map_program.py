@@ -43,7 +43,7 @@ def make_map(store, lanes, **settings):
     chosen = {
         "natural": np.linspace(1.0, 2.0, lanes),
         "frequency_ratio": [0.9, 1.0, 1.1],
-        "response": vj.SettledSweep("forward", refine_jumps=None),
+        "response": vj.SweepSettings("forward", refine_jumps=None),
         "measures": [slowly, "natural_frequency"],
         "keep_curves": True,
         "chunk_lanes": 1,

@@ -11,6 +11,7 @@ from vibrojax._tools import interrupts as _interrupts  # noqa: F401
 # Interrupts are watched before JAX is imported, which takes a while.
 from vibrojax._tools import forks as _forks  # noqa: F401
 from vibrojax._tools import precision as _precision  # noqa: F401
+from vibrojax._tools import threads as _threads  # noqa: F401
 
 # isort: split
 from vibrojax import branches as branches
@@ -24,23 +25,18 @@ from vibrojax import regime as regime
 from vibrojax import steady as steady
 from vibrojax import stepping as stepping
 from vibrojax import sweep as sweep
-from vibrojax.branches.coexisting import coexisting_responses as coexisting_responses
 from vibrojax.branches.continue_response import continue_response as continue_response
 from vibrojax.branches.fold_curves import fold_curves as fold_curves
 from vibrojax.branches.folds import fold_response as fold_response
+from vibrojax.branches.settings import ContinuationSettings as ContinuationSettings
 from vibrojax.ensemble.arguments import zipped as zipped
+from vibrojax.ensemble.ranges import Range as Range
 from vibrojax.explorer.explore import explore as explore
 from vibrojax.history.simulate import motion as motion
 from vibrojax.history.simulate import simulate as simulate
-from vibrojax.history.simulate_each import simulate_each as simulate_each
 from vibrojax.identification.identify import identify as identify
-from vibrojax.identification.identify import identify_each as identify_each
-from vibrojax.maps.basin_fractions import BasinFractions as BasinFractions
-from vibrojax.maps.continuation_curves import ContinuationCurve as ContinuationCurve
+from vibrojax.maps.basin_map import BasinFractions as BasinFractions
 from vibrojax.maps.parameter_map import parameter_map as parameter_map
-from vibrojax.maps.periodic_points import PeriodicPoints as PeriodicPoints
-from vibrojax.maps.regime_sweep import RegimeSweep as RegimeSweep
-from vibrojax.maps.settled_sweep import SettledSweep as SettledSweep
 from vibrojax.model.beam import Cantilever as Cantilever
 from vibrojax.model.beam import PointMass as PointMass
 from vibrojax.model.drives import BaseMotion as BaseMotion
@@ -68,21 +64,25 @@ from vibrojax.regime.bifurcation import bifurcation_diagram as bifurcation_diagr
 from vibrojax.regime.kinds import Regime as Regime
 from vibrojax.regime.lyapunov import lyapunov_exponent as lyapunov_exponent
 from vibrojax.regime.regimes import regimes as regimes
+from vibrojax.regime.settings import BasinSettings as BasinSettings
+from vibrojax.regime.settings import RegimeSettings as RegimeSettings
 from vibrojax.resolution import ResolutionCheck as ResolutionCheck
 from vibrojax.resolution import check_resolution as check_resolution
 from vibrojax.results.status import Status as Status
 from vibrojax.steady.methods import HarmonicBalance as HarmonicBalance
+from vibrojax.steady.methods import PeriodicSettings as PeriodicSettings
 from vibrojax.steady.methods import Shooting as Shooting
 from vibrojax.steady.periodic_response import periodic_response as periodic_response
 from vibrojax.steady.single_contact_response import (
     single_contact_response as single_contact_response,
 )
 from vibrojax.stepping.linearly_implicit import LinearlyImplicit as LinearlyImplicit
-from vibrojax.stepping.method import ExactContact as ExactContact
-from vibrojax.stepping.method import ExponentialSplitting as ExponentialSplitting
+from vibrojax.stepping.stepper import ExactContact as ExactContact
+from vibrojax.stepping.stepper import ExponentialSplitting as ExponentialSplitting
 from vibrojax.sweep.frequency_sweep import frequency_sweep as frequency_sweep
+from vibrojax.sweep.settings import SweepSettings as SweepSettings
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 
 def __dir__() -> list[str]:

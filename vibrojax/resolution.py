@@ -1,5 +1,6 @@
 """How much a result depends on rounding, sampling and the number of modes."""
 
+import dataclasses
 import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,10 @@ from vibrojax.results.variables import described_as
 from vibrojax.steady.methods import HarmonicBalance
 from vibrojax.steady.periodic_result import PeriodicResponse
 from vibrojax.stepping.choice import is_exact
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
 
 Study = Callable[[AbstractSystem, HarmonicBalance], Any]
 
@@ -126,26 +131,27 @@ def check_resolution(
         raise ValueError(
             f"study must be a function of a system and a method, got {in_short(study)}."
         ) from None
-    method = HarmonicBalance(samples=samples)
+    method, finer = HarmonicBalance(samples=samples), HarmonicBalance(samples=2 * samples)
     base = _numbers(study(system, method))
-    moved: dict[str, dict[str, np.ndarray]] = {}
-    skipped: dict[str, str] = {}
-    finer = HarmonicBalance(samples=2 * samples)
-    moved["twice the samples"] = _moved(base, _numbers(study(system, finer)))
-    rounded = _half_rounded(system)
-    if rounded is None:
-        skipped["half the rounding"] = "the corner of the force is exact, there is none"
-    else:
-        moved["half the rounding"] = _moved(base, _numbers(study(rounded, method)))
-    modes = getattr(system, "num_modes", None)
-    if modes is None:
-        skipped["one more mode"] = "the system keeps all its modes, or has no number of them"
-    else:
-        richer = _with_modes(system, modes + 1)
-        if richer is None:
-            skipped["one more mode"] = "the system keeps all its modes"
+    varied = {
+        "twice the samples": (system, finer, ""),
+        "half the rounding": (
+            _half_rounded(system),
+            method,
+            "the corner of the force is exact, there is none",
+        ),
+        "one more mode": (
+            _with_one_mode_more(system),
+            method,
+            "the system keeps all its modes, or has no number of them",
+        ),
+    }
+    moved, skipped = {}, {}
+    for what, (other, how, why) in varied.items():
+        if other is None:
+            skipped[what] = why
         else:
-            moved["one more mode"] = _moved(base, _numbers(study(richer, method)))
+            moved[what] = _moved(base, _numbers(study(other, how)))
     return ResolutionCheck(values=base, moved=moved, skipped=skipped)
 
 
@@ -153,19 +159,17 @@ def _half_rounded(system: AbstractSystem) -> AbstractSystem | None:
     stops = getattr(system, "stops", ())
     if not stops or is_exact(system):
         return None
-    halved = tuple(eqx.tree_at(lambda s: s.smoothing, s, s.width / 2, is_leaf=_none) for s in stops)
+    halved = tuple(
+        eqx.tree_at(lambda s: s.smoothing, s, s.width / 2, is_leaf=lambda x: x is None)
+        for s in stops
+    )
     return eqx.tree_at(lambda s: s.stops, system, halved)
 
 
-def _none(x: Any) -> bool:
-    return x is None
-
-
-def _with_modes(system: AbstractSystem, count: int) -> AbstractSystem | None:
-    import dataclasses
-
+def _with_one_mode_more(system: AbstractSystem) -> AbstractSystem | None:
+    count = getattr(system, "num_modes", None)
     try:
-        return dataclasses.replace(system, num_modes=count)  # pyright: ignore
+        return None if count is None else dataclasses.replace(system, num_modes=count + 1)  # pyright: ignore
     except ValueError:
         return None
 
@@ -193,19 +197,12 @@ def _numbers(result: Any) -> dict[str, np.ndarray]:
 
 
 def _moved(base: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Largest change of every number; NaN for one that only one of the results has."""
-    missing = np.asarray(np.nan)
-    names = list(base) + [n for n in other if n not in base]
-    return {n: _change(base.get(n, missing), other.get(n, missing)) for n in names}
+    """Largest change of every number; NaN where the two differ in shape or are not finite."""
 
+    def change(name: str) -> np.ndarray:
+        one, two = (np.asarray(of.get(name, np.nan)) for of in (base, other))
+        if one.shape != two.shape or not (np.isfinite(one).all() and np.isfinite(two).all()):
+            return np.asarray(np.nan)
+        return np.asarray(np.max(np.abs(two - one), initial=0.0))
 
-def _change(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Largest change between two arrays; NaN where they differ in shape or are not finite."""
-    if one.shape != other.shape or not (np.isfinite(one).all() and np.isfinite(other).all()):
-        return np.asarray(np.nan)
-    return np.asarray(np.max(np.abs(other - one), initial=0.0))
-
-
-if TYPE_CHECKING:
-    import xarray
-    from matplotlib.figure import Figure
+    return {name: change(name) for name in base | other}

@@ -108,7 +108,7 @@ curve.to_xarray()
 # its folds and along the unstable part between them, and solves every point exactly.
 
 # %%
-branch = vj.continue_response(rig(), frequency_ratio=(0.85, 1.31))
+branch = vj.continue_response(rig(), frequency_ratio=vj.Range(0.85, 1.31))
 branch
 
 # %%

@@ -37,7 +37,7 @@ def rig(gap=0.4e-3, position=0.5, stiffness=5500.0):
     return vj.default_rig(gap=gap, position=position, stiffness=stiffness)
 
 
-limits = (0.85, 1.6)
+limits = vj.Range(0.85, 1.6)
 
 # %% [markdown]
 # ## The gap
@@ -49,7 +49,7 @@ by_gap.plot()
 
 
 # %%
-def tell(branches, name, unit, scale):
+def summarise(branches, name, unit, scale):
     """Print touch, jumps and peak of each branch."""
     for branch in branches:
         value = scale * branch.labels[name]
@@ -63,7 +63,7 @@ def tell(branches, name, unit, scale):
         )
 
 
-tell(by_gap, "gap", "mm", 1e3)
+summarise(by_gap, "gap", "mm", 1e3)
 
 # %% [markdown]
 # A small gap is reached early and is closed for a longer part of each period, so the resonance
@@ -82,7 +82,7 @@ by_position = vj.continue_response(rig, frequency_ratio=limits, position=[0.35, 
 by_position.plot()
 
 # %%
-tell(by_position, "position", "of the length", 1.0)
+summarise(by_position, "position", "of the length", 1.0)
 
 # %% [markdown]
 # ## The stiffness
@@ -94,7 +94,7 @@ by_stiffness = vj.continue_response(rig, frequency_ratio=limits, stiffness=[500.
 by_stiffness.plot()
 
 # %%
-tell(by_stiffness, "stiffness", "N/m", 1.0)
+summarise(by_stiffness, "stiffness", "N/m", 1.0)
 
 # %% [markdown]
 # The soft stop has no jump at all. More branches show where the jumps begin: their two folds over
@@ -138,7 +138,7 @@ print(
 
 # %%
 every = vj.single_contact_response(
-    rig(), frequency_ratio=np.linspace(limits[0], limits[1], frequencies)
+    rig(), frequency_ratio=np.linspace(limits.low, limits.high, frequencies)
 )
 every
 
@@ -164,8 +164,8 @@ every.plot()
 # %%
 vj.explore(
     rig,
-    gap=(0.2e-3, 1e-3),
-    position=(0.3, 0.9),
-    stiffness=(500, 50000),
-    frequency_ratio=(0.85, 1.4),
+    gap=vj.Range(0.2e-3, 1e-3),
+    position=vj.Range(0.3, 0.9),
+    stiffness=vj.Range(500, 50000),
+    frequency_ratio=vj.Range(0.85, 1.4),
 )

@@ -12,8 +12,8 @@
 # # Identification
 # **Which contact stiffness and damping explain a measured curve?**
 #
-# And how well does the curve tell? We play both sides. A "measurement" is made from a rig whose
-# contact is hidden from the fit, written to a CSV file with noise, read back and fitted.
+# And how well does the curve determine them? We play both sides. A "measurement" is made from a
+# rig whose contact is hidden from the fit, written to a CSV file with noise, read back and fitted.
 
 # %%
 import matplotlib.pyplot as plt
@@ -121,7 +121,7 @@ fit.what_next("damping")
 # The list gives the most telling frequencies first. They lie just below the forward jump, where the
 # motion is largest and loses most in the stop.
 #
-# ## What this cannot tell
+# ## What this cannot determine
 # - **A wrong model fits too.** Five modes, a linear stop and the printed beam were assumed. If the
 #   chi-square is far above 1, or the residuals have a pattern, the numbers are not to be believed
 #   however narrow the interval.

@@ -114,7 +114,7 @@ for axes in (over_time, loop):
 # while that of the felt begins and ends at zero.
 #
 # ## In a sweep
-# Any law can be swept, up and down. `frequency_sweep` chooses a method that suits it, and says
+# Any law can be swept, up and down. `frequency_sweep` chooses a stepper that suits it, and says
 # which one in `attributes`.
 
 # %%
@@ -125,7 +125,7 @@ curves = {
 }
 for name, curve in curves.items():
     print(
-        f"{name}: {curve.attributes['method']}, jumps at {float(curve.jump_up):.4f} and "
+        f"{name}: {curve.attributes['stepper']}, jumps at {float(curve.jump_up):.4f} and "
         f"{float(curve.jump_down):.4f}, peak {float(curve.peak_amplitude_ratio):.2f}"
     )
 

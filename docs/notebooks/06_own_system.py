@@ -158,7 +158,7 @@ plt.show()
 # %%
 ratios = jnp.linspace(0.8, 1.7, points)
 curve = vj.frequency_sweep(strip(), frequency_ratio=ratios)
-branch = vj.continue_response(strip(), frequency_ratio=(0.8, 1.7))
+branch = vj.continue_response(strip(), frequency_ratio=vj.Range(0.8, 1.7))
 print(curve)
 print(branch)
 
@@ -179,7 +179,7 @@ print(f"jump up at   {curve.jump_up:.4f}, lower fold at {branch.folds.min():.4f}
 # gaps, for example, as branches:
 
 # %%
-gaps = vj.continue_response(strip, frequency_ratio=(0.8, 1.7), gap=[0.2e-3, 0.3e-3, 0.4e-3])
+gaps = vj.continue_response(strip, frequency_ratio=vj.Range(0.8, 1.7), gap=[0.2e-3, 0.3e-3, 0.4e-3])
 gaps.plot()
 
 # %% [markdown]
@@ -261,7 +261,7 @@ def stretching(tension=youngs_modulus * area / (2 * length), gap=0.3e-3):
 # %%
 natural_frequency = float(first / (2 * np.pi))
 frequencies = natural_frequency * np.linspace(0.94, 1.3, stretching_points)
-settings = dict(frequency=frequencies, tolerance=1e-3, refine_jumps=None)
+settings = dict(frequency=frequencies, settings=vj.SweepSettings(tolerance=1e-3, refine_jumps=None))
 full = stretching().tension
 both = vj.frequency_sweep(stretching, tension=[0.0, full], **settings)
 matrices = vj.frequency_sweep(replace(strip(), num_modes=3), **settings)
@@ -320,6 +320,6 @@ vj.periodic_response(stretching(), frequency=1.02 * natural_frequency)
 
 # %%
 try:
-    vj.continue_response(stretching(), frequency=(50.0, 60.0))
+    vj.continue_response(stretching(), frequency=vj.Range(50.0, 60.0))
 except ValueError as refused:
     print(refused)

@@ -57,7 +57,7 @@ print(vj.modes(support().beam, num_modes=5).frequency.round(1), "Hz")
 
 # %%
 releases = [4e-3, 7e-3, 10e-3]
-released = vj.simulate_each(support, release=releases, duration=duration, sampling_rate=8192)
+released = vj.simulate(support, release=releases, duration=duration, sampling_rate=8192)
 figure, panels = plt.subplots(3, 1, figsize=(9, 7.5), dpi=100, sharex=True, layout="constrained")
 looks = (("#0060a8", ":"), ("#d1590a", "--"), ("#2a7f3f", "-"))
 for height, (colour, style) in zip(releases, looks, strict=True):
@@ -175,9 +175,7 @@ spectrum.plot(span=500)
 
 # %%
 forces = [2.0, 6.0, 12.0]
-shaken = vj.simulate_each(
-    support, force=forces, frequency=16.0, duration=seconds, sampling_rate=4096
-)
+shaken = vj.simulate(support, force=forces, frequency=16.0, duration=seconds, sampling_rate=4096)
 loudest = shaken.at(force=12.0)
 lines = loudest.spectrum("acceleration", start=seconds / 2, segment=1.0, units="g")
 lines.plot(span=400)
@@ -198,7 +196,10 @@ for line in lines.peaks(6):
 # %%
 frequencies = np.linspace(12.0, 22.0, points)
 swept = vj.frequency_sweep(
-    support, force=[0.1, *forces], frequency=frequencies, refine_jumps=None, max_periods=300
+    support,
+    force=[0.1, *forces],
+    frequency=frequencies,
+    settings=vj.SweepSettings(refine_jumps=None, max_periods=300),
 )
 swept.plot("receptance")
 

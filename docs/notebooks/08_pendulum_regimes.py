@@ -54,7 +54,10 @@ print("modes of the free pendulum (Hz):", vj.default_pendulum().natural_frequenc
 # %%
 frequencies = [3.1, 5.7, 6.7, 8.8]  # Hz
 found = vj.regimes(
-    pendulum(), frequency=frequencies, starts=2, transient=transient, periods=periods
+    pendulum(),
+    frequency=frequencies,
+    starts=2,
+    settings=vj.RegimeSettings(transient=transient, periods=periods),
 )
 print(found)
 for k, frequency in enumerate(frequencies):
@@ -96,8 +99,9 @@ diagram = vj.bifurcation_diagram(
     pendulum,
     base_amplitude=amplitudes,
     frequency=5.7,
-    transient=transient,
-    periods=periods,
+    settings=vj.RegimeSettings(
+        transient=transient, periods=periods, max_period=16, samples_per_period=32, spectrum=False
+    ),
 )
 diagram.plot()
 
@@ -110,7 +114,7 @@ for direction, row in zip(("upwards", "downwards"), diagram.period, strict=True)
 # %% [markdown]
 # Where the points stand in three groups, the motion still takes three drive periods a round, but
 # it may have doubled its period, or be chaotic within the groups (an exponent above zero). At both
-# ends the groups dissolve. So the regimes hang on the base amplitude, which is not printed.
+# ends the groups dissolve. So the regimes depend on the base amplitude, which is not printed.
 #
 # ## From where
 # Starts with the pendulum straight, leaning by an angle and turning at a rate.

@@ -74,7 +74,8 @@ def timed(call):
 
 # %%
 def sweep(gap=0.4e-3, **settings):
-    return vj.frequency_sweep(rig(gap), frequency_ratio=ratios, refine_jumps=None, **settings)
+    own = vj.SweepSettings(refine_jumps=None, **settings)
+    return vj.frequency_sweep(rig(gap), frequency_ratio=ratios, settings=own)
 
 
 _, first = timed(sweep)
@@ -100,16 +101,16 @@ print(f"first sweep {first:.2f} s, again {second:.2f} s, with another gap {other
 # its corner over a thousandth of the gap unless `Stop(smoothing=...)` says otherwise.
 
 # %%
-reference = sweep(method=vj.ExactContact(1e-9), tolerance=1e-9, max_periods=2000)
-methods = {
+reference = sweep(stepper=vj.ExactContact(1e-9), tolerance=1e-9, max_periods=2000)
+steppers = {
     "ExactContact": (vj.ExactContact, [1e-2, 1e-3, 1e-4, 1e-6]),
     "ExponentialSplitting": (vj.ExponentialSplitting, [1e-2, 1e-3, 1e-4]),
 }
 work = {}
-for name, (method, tolerances) in methods.items():
+for name, (stepper, tolerances) in steppers.items():
     rows = []
     for tolerance in tolerances:
-        settings = dict(method=method(tolerance), tolerance=tolerance)
+        settings = dict(stepper=stepper(tolerance), tolerance=tolerance)
         sweep(**settings)  # compiles
         curve, seconds = timed(lambda settings=settings: sweep(**settings))
         same = np.sign(curve.contact_force) == np.sign(reference.contact_force)
@@ -146,7 +147,7 @@ plt.show()
 # roundings (`Hertz` with exponent 1 is that spring, treated as any law), and of the exact corner.
 
 # %%
-exact = vj.continue_response(rig(), frequency_ratio=(0.9, 1.31))
+exact = vj.continue_response(rig(), frequency_ratio=vj.Range(0.9, 1.31))
 gap = 0.4e-3
 shares = [0.1, 0.03, 0.01, 1e-3]
 
@@ -156,7 +157,7 @@ def rounded(smoothing):
 
 
 branches = vj.continue_response(
-    rounded, frequency_ratio=(0.9, 1.31), smoothing=[share * gap for share in shares]
+    rounded, frequency_ratio=vj.Range(0.9, 1.31), smoothing=[share * gap for share in shares]
 )
 print(f"exact:                  folds {exact.folds.round(5)}")
 for share, branch in zip(shares, branches, strict=True):
@@ -171,7 +172,9 @@ for share, branch in zip(shares, branches, strict=True):
 
 # %%
 def peaks(system, method):
-    curve = vj.frequency_sweep(system, frequency_ratio=ratios, refine_jumps=None)
+    curve = vj.frequency_sweep(
+        system, frequency_ratio=ratios, settings=vj.SweepSettings(refine_jumps=None)
+    )
     return {"amplitude": curve.peak_amplitude_ratio, "force": curve.contact_force.max()}
 
 
@@ -205,7 +208,8 @@ beam = vj.Cantilever(0.2, 0.025, 1e-3, 130e9, 8250.0, taper=0.5, mass_ratio=0.5)
 stop = vj.Stop(0.5, 0.4e-3, vj.KelvinVoigt(5500.0, 5e-5))
 rig = vj.ImpactingBeam(beam, stop, vj.BaseMotion(0.2e-3), damping_ratio=0.018, num_modes=5)
 ratios = json.loads(sys.argv[1])
-curve = vj.frequency_sweep(rig, frequency_ratio=ratios, refine_jumps=None)
+settings = vj.SweepSettings(refine_jumps=None)
+curve = vj.frequency_sweep(rig, frequency_ratio=ratios, settings=settings)
 print(json.dumps([vj.modes(beam, 5).frequency.tolist(), curve.amplitude_ratio.tolist()]))
 """
 run = subprocess.run(
@@ -239,7 +243,11 @@ for lanes in lane_numbers:
 
     def batch(gaps=gaps):
         return vj.frequency_sweep(
-            rig, gap=gaps, frequency_ratio=ratios, refine_jumps=None, progress=False
+            rig,
+            gap=gaps,
+            frequency_ratio=ratios,
+            progress=False,
+            settings=vj.SweepSettings(refine_jumps=None),
         )
 
     batch()  # compiles

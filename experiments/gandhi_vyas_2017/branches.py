@@ -24,7 +24,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 HERE = Path(__file__).parent
-RANGES = {"consistent": (0.85, 1.35), "as_printed": (0.85, 1.80)}
+RANGES = {"consistent": vj.Range(0.85, 1.35), "as_printed": vj.Range(0.85, 1.80)}
 NEAR = 0.01
 NAMES = {"consistent": "consistent", "as_printed": "as printed"}
 FORWARD, BACKWARD, BRANCH = "#1f5fa8", "#d9541e", "0.25"

@@ -1,4 +1,4 @@
-"""The frequency sweeps behind Figs 7 to 12, and one table of what each curve comes to."""
+"""The frequency sweeps behind Figs 7 to 12, and one table of the numbers of each curve."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -103,10 +103,12 @@ def run_studies(formulation: str, quick: bool = False) -> Iterator[Study]:
         curve = vj.frequency_sweep(
             rig_of(formulation, num_modes),
             frequency_ratio=grid(name, formulation, quick),
-            direction="forward" if forward_only else "both",
-            refine_jumps=None if forward_only or quick else 1e-4,
-            max_periods=200 if name.startswith("fig") and not quick else 120,
             **axes_of(name, quick),
+            settings=vj.SweepSettings(
+                direction="forward" if forward_only else "both",
+                refine_jumps=None if forward_only or quick else 1e-4,
+                max_periods=200 if name.startswith("fig") and not quick else 120,
+            ),
         )
         yield Study(name, formulation, num_modes, curve)
 

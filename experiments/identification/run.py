@@ -102,11 +102,11 @@ def curve_of(fit: vj.identification.Identification, measurement: int = 0) -> dic
         "frequency": np.round(m.frequency, 5).tolist(),
         "direction": m.direction.tolist(),
         "amplitude": np.round(m.amplitude, 4).tolist(),
-        "residual": np.round(p.residual, 3).tolist(),
-        "curve_frequency": np.round(p.frequency, 5).tolist(),
-        "curve_amplitude": np.round(p.channels[:, 0], 4).tolist(),
-        "unstable": p.unstable.astype(int).tolist(),
-        "continues": p.continues.astype(int).tolist(),
+        "residual": np.round(p["residual"].values, 3).tolist(),
+        "curve_frequency": np.round(p["curve_frequency"].values, 5).tolist(),
+        "curve_amplitude": np.round(p["curve_amplitude"].values, 4).tolist(),
+        "unstable": p["curve_unstable"].values.tolist(),
+        "continues": p["curve_continues"].values.tolist(),
     }
 
 
@@ -151,7 +151,7 @@ def fit_draws(
     seeds, timer, found = list(seeds), Timer.start(), []
     for k in range(0, len(seeds), group):
         data = [measured(amplitude, seed) for seed in seeds[k : k + group]]
-        found += vj.identify_each(vj.default_rig, data, GUESS, **how)
+        found += vj.identify(vj.default_rig, data, GUESS, together=False, **how)
         print(f"{k + len(data)} of {len(seeds)}: {timer.read()}", flush=True)
     return found, timer.read()
 

@@ -89,9 +89,10 @@ def trace_rounded(stop: vj.Stop, step: float) -> vj.branches.Branch:
     """Trace a curve whose force has no corner, by harmonic balance."""
     return vj.continue_response(
         system(stop),
-        frequency=tuple(w / UNIT for w in ROUNDED_RANGE),
-        longest_step=step,
-        method=vj.HarmonicBalance(samples=SAMPLES),
+        frequency=vj.Range(*(w / UNIT for w in ROUNDED_RANGE)),
+        settings=vj.ContinuationSettings(
+            longest_step=step, method=vj.HarmonicBalance(samples=SAMPLES)
+        ),
     )
 
 
@@ -103,7 +104,7 @@ def lowest(branch: vj.branches.Branch) -> float:
 
 def compute() -> Found:
     """Trace the exact curve, its doubled branch and three rounded ones."""
-    branch = vj.continue_response(system(), frequency=tuple(w / UNIT for w in RANGE))
+    branch = vj.continue_response(system(), frequency=vj.Range(*(w / UNIT for w in RANGE)))
     rounded = [
         trace_rounded(vj.Stop(None, GAP - LEAD, RootSpring(width)), ROUNDED_STEP)
         for width in WIDTHS

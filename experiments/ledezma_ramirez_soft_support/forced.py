@@ -49,7 +49,7 @@ def run(
     found, seconds = {}, []
     for factor in readings.values():
         begun = time.perf_counter()
-        histories = vj.simulate_each(
+        histories = vj.simulate(
             rig.forced_rig,
             force=[factor * force for force in rig.FORCES],
             frequency=FORCE_FREQUENCY,
@@ -137,7 +137,7 @@ def twelve_newtons(dampings: list[float], duration: float = 16.0) -> dict[str, d
     """Peaks at 12 N and 16 Hz: both readings, steady and from rest, sine and cosine start."""
     found = {}
     for reading, factor in READINGS.items():
-        histories = vj.simulate_each(
+        histories = vj.simulate(
             rig.forced_rig,
             force=12.0 * factor,
             damping=dampings,

@@ -35,7 +35,7 @@ class Release(NamedTuple):
 
 def releases() -> tuple[list[Release], dict[str, vj.history.EnergyFlow]]:
     """Return the seven releases, and the energies of the last with and without the support."""
-    histories = vj.simulate_each(
+    histories = vj.simulate(
         rig.released_rig(),
         release=RELEASES,
         gap=[rig.GAP, OUT_OF_REACH],
@@ -77,7 +77,7 @@ def table_of_releases(found: list[Release]) -> list[dict]:
 
 def against_damping(values: list[float]) -> dict[str, list[float]]:
     """Peaks of the 10 mm release against contact damping."""
-    histories = vj.simulate_each(
+    histories = vj.simulate(
         rig.released_rig(), damping=values, release=10e-3, duration=0.12, sampling_rate=FINE_RATE
     )
     table = {"damping": values, "acceleration_g": [], "force_N": [], "analyser_g": []}
@@ -111,7 +111,7 @@ def rubber_laws(loss: float) -> dict:
     }
     found: dict = {"loss_J": loss, "maxwell_stiffness_N_per_m": MAXWELL * STIFFNESS}
     for name, (law, values) in laws.items():
-        histories = vj.simulate_each(
+        histories = vj.simulate(
             lambda value, law=law: rig.stopped_by(law(value)), value=values, **FIRST
         )
         losses = [_first_loss(history) for history in histories]

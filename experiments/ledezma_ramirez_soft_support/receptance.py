@@ -34,9 +34,8 @@ def sweep(
         rig.forced_rig,
         force=amplitudes,
         frequency=frequency,
-        max_periods=max_periods,
-        refine_jumps=1e-3,
         progress=False,
+        settings=vj.SweepSettings(max_periods=max_periods, refine_jumps=1e-3),
     )
 
 
@@ -45,7 +44,7 @@ def from_rest(forces: list[float]) -> FromRest:
     frequency = np.arange(10.0, 26.0)
     rows: list[list[np.ndarray]] = []
     for force in forces:
-        histories = vj.simulate_each(
+        histories = vj.simulate(
             rig.forced_rig,
             force=float(np.sqrt(2.0)) * force,
             frequency=frequency.tolist(),

@@ -28,13 +28,15 @@ def run(
         angle=np.linspace(-0.14, 0.14, count),
         rate=np.linspace(-4.0, 4.0, count),
         units=UNITS,
-        transient=transient,
-        periods=24,
-        max_period=12,
-        tolerance=0.02,
-        distinguish_phases=True,
-        method=COARSER,
         progress=False,
+        settings=vj.BasinSettings(
+            transient=transient,
+            periods=24,
+            max_period=12,
+            period_tolerance=0.02,
+            distinguish_phases=True,
+            stepper=COARSER,
+        ),
     )
     seconds, processor = time.perf_counter() - begun, time.process_time() - worked
     attractors = [

@@ -15,13 +15,13 @@ EDGES = np.arange(3.5, 9.01, 0.5)
 def run(starts: int = 12) -> tuple[vj.history.Histories, dict]:
     """Return the histories from random starts, and what is read off them."""
     states = full_starts(starts, seed=1)
-    histories = vj.simulate_each(
+    histories = vj.simulate(
         vj.default_pendulum(),
         waveform=CHIRP,
         duration=15.0,
         initial_states=[(s[:17], s[17:]) for s in states],
         sampling_rate=RATE,
-        solver=vj.LinearlyImplicit(longest_step=STEP),
+        stepper=vj.LinearlyImplicit(longest_step=STEP),
     )
     cycles = histories.cycles("bearing_angle", threshold=HYSTERESIS)
     table = cycles.statistics(EDGES, share_of={3: 0.25, 5: 0.25})

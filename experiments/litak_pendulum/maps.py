@@ -1,5 +1,7 @@
 """Regimes over frequency and base amplitude, bifurcation diagram, and what each regime harvests."""
 
+from dataclasses import replace
+
 import numpy as np
 from pendulum import INFERRED, MARCHED, modal, modal_starts
 
@@ -16,7 +18,8 @@ def regime_map(frequencies: int, amplitudes: int, periods: int) -> tuple[vj.regi
         frequency=np.linspace(2.0, 9.0, frequencies),
         base_amplitude=np.linspace(*AMPLITUDES, amplitudes),
         starts=modal_starts(1, seed=3),
-        **MARCHED | {"periods": periods},
+        settings=replace(MARCHED, periods=periods),
+        progress=False,
     )
     period = found.period
     shares = {
@@ -38,17 +41,12 @@ def bifurcation(
 ) -> tuple[vj.regime.BifurcationDiagram, dict]:
     """Carry the motion along the frequency, up and down."""
     start = modal_starts(1, seed=3)[0]
-    common = {name: MARCHED[name] for name in ("tolerance", "samples_per_period", "method")}
     found = vj.bifurcation_diagram(
         modal(),
         frequency=np.linspace(2.0, 9.0, values),
         start=start,
-        transient=transient,
-        periods=periods,
-        max_period=20,
-        lyapunov=False,
         progress=False,
-        **common,
+        settings=replace(MARCHED, transient=transient, periods=periods, lyapunov=False),
     )
     three = {
         way: np.asarray(found.values)[row == 3].tolist()
@@ -67,7 +65,8 @@ def energies(frequencies: int, starts: int, periods: int) -> dict:
         modal(),
         frequency=np.linspace(2.0, 9.0, frequencies),
         starts=modal_starts(starts, seed=4),
-        **MARCHED | {"periods": periods},
+        settings=replace(MARCHED, periods=periods),
+        progress=False,
     )
     names = ("chord_reduction_max", "strain_energy_mean", "strain_power_rms", "lyapunov_exponent")
     numbers = {name: np.asarray(found[name]) for name in names}

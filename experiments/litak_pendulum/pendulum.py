@@ -22,8 +22,7 @@ STEPS = 1000
 COARSER = vj.LinearlyImplicit(steps_per_period=600)
 """For thousands of lanes."""
 METHOD = vj.LinearlyImplicit(steps_per_period=STEPS)
-MARCHED = {"transient": 110, "max_period": 20, "tolerance": 0.02, "samples_per_period": 16}
-MARCHED |= {"spectrum": False, "method": METHOD, "progress": False}
+MARCHED = vj.RegimeSettings(transient=110, samples_per_period=16, spectrum=False, stepper=METHOD)
 """As the reference: strobed after 110 periods, 2 %, up to period 20."""
 
 

@@ -1,6 +1,7 @@
 """The search for period 5 at 7.8 Hz, and what the inferred numbers do to the picture."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from pendulum import (
@@ -28,8 +29,9 @@ BOXES = {
 EVEN = ("limiter_height",)
 NEAR = 0.2
 """Every second draw is within this share of the inferred numbers."""
-QUICK = dict(MARCHED, lyapunov=False, periods=40, transient=100, samples_per_period=8)
-QUICK |= {"method": COARSER}
+QUICK = replace(
+    MARCHED, lyapunov=False, periods=40, transient=100, samples_per_period=8, stepper=COARSER
+)
 OTHERS = tuple(f for f in FREQUENCIES if f != 7.8)
 
 
@@ -54,7 +56,12 @@ def regimes_of(numbers: dict[str, np.ndarray], frequency, starts, make=modal, **
 
     count = len(next(iter(numbers.values())))
     return vj.regimes(
-        system, draw=np.arange(count), frequency=frequency, starts=starts, **QUICK | changed
+        system,
+        draw=np.arange(count),
+        frequency=frequency,
+        starts=starts,
+        settings=replace(QUICK, **changed),
+        progress=False,
     )
 
 
@@ -131,7 +138,7 @@ def _followed(numbers, draws_found: np.ndarray, others: np.ndarray, every: np.nd
     own = {name: values[draws_found] for name, values in numbers.items()}
     # Of 17 links the damping sets the steps.
     every_start, method = full_starts(3, seed=7), vj.LinearlyImplicit()
-    found = regimes_of(own, FREQUENCIES, every_start, make=vj.default_pendulum, method=method)
+    found = regimes_of(own, FREQUENCIES, every_start, make=vj.default_pendulum, stepper=method)
     return [
         {name: float(values[k]) for name, values in own.items()}
         | {
@@ -179,13 +186,14 @@ def sensitivity(changes: tuple[float, ...], starts: int) -> dict:
 def agreement(frequencies: int, starts: int, periods: int) -> dict:
     """Compare six modes with 17 links over frequency."""
     grid = np.linspace(2.5, 9.0, frequencies)
-    common = MARCHED | {"periods": periods, "frequency": grid, "lyapunov": False}
-    common["method"] = vj.LinearlyImplicit(steps_per_period=STEPS)
+    stepper = vj.LinearlyImplicit(steps_per_period=STEPS)
+    settings = replace(MARCHED, periods=periods, lyapunov=False, stepper=stepper)
+    common = {"frequency": grid, "settings": settings, "progress": False}
     links = vj.regimes(vj.default_pendulum(), starts=full_starts(starts, seed=9), **common)
     modes = vj.regimes(modal(), starts=modal_starts(starts, seed=9), **common)
 
     def most(found: vj.regime.Regimes) -> list[int]:
-        """Period that most starts come to, multiples of 3 as 3."""
+        """Period that most starts reach, multiples of 3 as 3."""
         period = np.where(found.period % 3 == 0, np.minimum(found.period, 3), found.period)
         return [int(np.bincount(column).argmax()) for column in period.T]
 

@@ -1,5 +1,7 @@
 """Waveforms at the five frequencies of fig. 5, settled, and the regime of each."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 from pendulum import FREQUENCIES, MARCHED, PRINTED, STEPS, full_starts, modal, modal_starts
@@ -15,17 +17,18 @@ def run(
 ) -> tuple[vj.history.Histories, dict]:
     """Return a history at each frequency, and the regimes from several starts."""
     states = full_starts(starts, seed=2)
-    histories = vj.simulate_each(
+    histories = vj.simulate(
         vj.default_pendulum(),
         frequency=FREQUENCIES,
         periods=settled + SHOWN,
         samples_per_period=100,
         initial_states=[(states[0, :17], states[0, 17:])],
-        solver=vj.LinearlyImplicit(steps_per_period=STEPS),
+        stepper=vj.LinearlyImplicit(steps_per_period=STEPS),
     )
     jax.block_until_ready(histories.lanes.time)
     periods = 100 if lyapunov else 40
-    common = dict(MARCHED, frequency=FREQUENCIES, periods=periods, lyapunov=lyapunov)
+    settings = replace(MARCHED, periods=periods, lyapunov=lyapunov)
+    common = {"frequency": FREQUENCIES, "settings": settings, "progress": False}
     found = {
         "links": vj.regimes(vj.default_pendulum(), starts=states, **common),
         "modes": vj.regimes(modal(), starts=modal_starts(starts, seed=2), **common),

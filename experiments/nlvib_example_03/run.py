@@ -79,16 +79,17 @@ def free_a2(w: float) -> float:
 
 def doubled_branch(branch: vj.branches.Branch) -> vj.branches.Branch:
     """Motions of twice the period, from the first period doubling that they can be traced from."""
-    doubled = [
-        branch.switch(k, longest_step=STEP) for k in reversed(range(len(branch.period_doublings)))
-    ]
+    settings = vj.ContinuationSettings(longest_step=STEP)
+    doubled = [branch.switch(k, settings) for k in reversed(range(len(branch.period_doublings)))]
     return max(doubled, key=lambda b: len(b.values))
 
 
 def compute() -> Found:
     """Trace the curve and read off it what is known from elsewhere."""
     branch = vj.continue_response(
-        system(), frequency=tuple(w / UNIT for w in RANGE), longest_step=STEP
+        system(),
+        frequency=vj.Range(*(w / UNIT for w in RANGE)),
+        settings=vj.ContinuationSettings(longest_step=STEP),
     )
     top = branch.values[np.argmax(a2_of(branch))]
     low, high = np.sort(branch.grazings) * UNIT

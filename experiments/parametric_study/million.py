@@ -61,7 +61,7 @@ def make_map(store: Path, scale: float, client: Any, plan: bool = False) -> Any:
         num_modes=3,
         damping_ratio=0.05,
         frequency_ratio=RATIO,
-        response=vj.SettledSweep("forward", max_periods=150),
+        response=vj.SweepSettings("forward", max_periods=150),
         measures=["peak_amplitude_ratio", "largest_contact_force", "aperiodic_fraction", period],
         chunk_lanes=min(CHUNK, max(64, lanes // 8)),
         store=store,
@@ -71,7 +71,7 @@ def make_map(store: Path, scale: float, client: Any, plan: bool = False) -> Any:
 
 
 def summarise(dataset: xarray.Dataset) -> dict[str, Any]:
-    """What the million comes to, one variable in memory at a time."""
+    """The million in numbers, one variable in memory at a time."""
     periods = dataset["period"].values
     force = dataset["largest_contact_force"].values
     steps = dataset["lane_steps"].values

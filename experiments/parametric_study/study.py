@@ -55,7 +55,7 @@ def make_map(store: Path, quick: bool, client: Any) -> xarray.Dataset:
         vj.default_rig,
         **(QUICK_AXES if quick else AXES),
         frequency_ratio=QUICK_RATIOS if quick else RATIOS,
-        response=vj.SettledSweep(max_periods=200),
+        response=vj.SweepSettings(max_periods=200),
         measures=MEASURES,
         keep_curves=True,
         chunk_lanes=None if quick else 108,  # a taper each: what an interruption costs
@@ -75,7 +75,7 @@ def lanes_there(store: Path) -> int:
 
 
 def summarise(dataset: xarray.Dataset) -> dict[str, Any]:
-    """What the study comes to in numbers: aperiodic motion above all, and where it is."""
+    """The study in numbers: aperiodic motion above all, and where it is."""
     aperiodic = dataset["status"] == vj.Status.aperiodic.value
     touches = dataset["largest_contact_force"] > 0
     said: dict[str, Any] = {

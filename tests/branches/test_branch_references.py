@@ -39,7 +39,7 @@ def traced(rig):
             )
             margin = 5e-3  # so that the ends themselves are inside
             branch = vj.continue_response(
-                one, frequency_ratio=(listed[0] - margin, listed[-1] + margin)
+                one, frequency_ratio=vj.Range(listed[0] - margin, listed[-1] + margin)
             )
             kept[name] = branch, branch.resample(listed)
         return kept[name]
@@ -129,7 +129,7 @@ def two_masses():
         input_map=[0.0, 1.0],
         response_map=[0.0, 1.0],
     )
-    return vj.continue_response(system, frequency=(0.5 / UNIT, 0.9 / UNIT))
+    return vj.continue_response(system, frequency=vj.Range(0.5 / UNIT, 0.9 / UNIT))
 
 
 def test_two_masses_of_nlvib(two_masses):
@@ -172,7 +172,7 @@ def oscillator():
 
 @pytest.fixture(scope="module")
 def oscillator_branch(oscillator):
-    return vj.continue_response(oscillator, frequency=(0.8 / UNIT, 1.5 / UNIT))
+    return vj.continue_response(oscillator, frequency=vj.Range(0.8 / UNIT, 1.5 / UNIT))
 
 
 def test_oscillator(oscillator_branch):
@@ -208,7 +208,9 @@ def test_the_doubled_branch(oscillator, oscillator_branch):
     at = np.flatnonzero(there.stable.values[0] == 1)
     assert len(at) == 1
     state = there.initial_state.values[0, at[0]]
-    direct = vj.periodic_response(oscillator, frequency=0.9275 / UNIT, period=2)
+    direct = vj.periodic_response(
+        oscillator, frequency=0.9275 / UNIT, settings=vj.PeriodicSettings(period=2)
+    )
     assert direct.stable
     assert float(direct.amplitude_ratio) == pytest.approx(
         there.amplitude_ratio.values[0, at[0]], rel=1e-8

@@ -18,8 +18,8 @@ NAME = "C_MR0.5_mu0.5"
 CASE = json.loads((DATA / "sweeps.json").read_text())["cases"][NAME]
 SINGLE = json.loads((DATA / "single_contact.json").read_text())["cases"][NAME]
 FOLDS = CASE["jump_down"], CASE["jump_up"]
-RANGE = (0.85, 1.31)
-WIDE = (0.85, 1.4)  # through both folds with one mode
+RANGE = vj.Range(0.85, 1.31)
+WIDE = vj.Range(0.85, 1.4)  # through both folds with one mode
 GAPS, STIFFNESSES = [0.3e-3, 0.4e-3], [4000.0, 5500.0]
 
 
@@ -38,7 +38,7 @@ def resampled(rig_branch):
 
 @pytest.fixture(scope="module")
 def along_gap(make):
-    return vj.continue_response(make, frequency_ratio=1.15, gap=(0.2e-3, 1.0e-3))
+    return vj.continue_response(make, frequency_ratio=1.15, gap=vj.Range(0.2e-3, 1.0e-3))
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +111,9 @@ def test_points_are_exact_and_in_order(small_branch):
     assert (np.diff(small_branch.arclength) > 0).all()
     assert small_branch.arclength[0] == 0
     assert small_branch.frequency_ratio is small_branch.values
-    assert small_branch.values[0] == pytest.approx(WIDE[0], abs=1e-3)
-    assert small_branch.values[-1] == pytest.approx(WIDE[1], abs=1e-3)
-    assert small_branch.values.max() <= WIDE[1] + 1e-6
+    assert small_branch.values[0] == pytest.approx(WIDE.low, abs=1e-3)
+    assert small_branch.values[-1] == pytest.approx(WIDE.high, abs=1e-3)
+    assert small_branch.values.max() <= WIDE.high + 1e-6
     free = small_branch.contact_fraction == 0
     assert (small_branch.contact_force[free] == 0).all()
     assert (small_branch.contact_force[~free] > 0).all()
@@ -187,7 +187,7 @@ def test_branches_end_at_the_ends_of_their_range(rig):
         (dict(gap=0.1e-3, stiffness=1e3), (0.9203, 1.3969113)),
     ]
     for numbers, span in rigs:
-        check_ends(vj.continue_response(rig(**numbers), frequency_ratio=span))
+        check_ends(vj.continue_response(rig(**numbers), frequency_ratio=vj.Range(*span)))
 
 
 @pytest.mark.slow
@@ -195,7 +195,7 @@ def test_branches_along_another_number_end_at_the_ends_of_its_range(rig):
     def small(gap):
         return rig(num_modes=1, gap=gap)
 
-    check_ends(vj.continue_response(small, frequency_ratio=1.1, gap=(1.3e-4, 9.7e-4)))
+    check_ends(vj.continue_response(small, frequency_ratio=1.1, gap=vj.Range(1.3e-4, 9.7e-4)))
 
 
 def test_new_numbers_do_not_compile_again(rig, small_branch):
@@ -213,7 +213,7 @@ def test_new_numbers_do_not_compile_again(rig, small_branch):
         damping=1e-3,
         amplitude=1.5e-4,
     )
-    other = vj.continue_response(one, frequency_ratio=(0.9, 1.25))
+    other = vj.continue_response(one, frequency_ratio=vj.Range(0.9, 1.25))
     other.resample([1.0, 1.1])
     assert other.completed
     assert not compiled
@@ -367,6 +367,20 @@ def _upper(branch, ratio):
     return branch.resample([ratio]).initial_state.values[0, 0]
 
 
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"period": 0}, "period must be"),
+        ({"max_points": 5}, "max_points must be"),
+        ({"longest_step": 0.0}, "longest_step must be from 1e-4 to 1"),
+        ({"tolerance": 0.0}, "tolerance must be above 0, up to 0.1"),
+    ],
+)
+def test_wrong_settings_are_refused(settings, sentence):
+    with pytest.raises(ValueError, match=f"^{re.escape(sentence)}"):
+        vj.ContinuationSettings(**settings)
+
+
 def build(gap=0.4e-3, stiffness=5500.0):
     raise AssertionError("not to be called")
 
@@ -376,31 +390,31 @@ def build(gap=0.4e-3, stiffness=5500.0):
     [
         ({}, "Give frequency_ratio or frequency, one of the two."),
         ({"frequency_ratio": RANGE, "frequency": RANGE}, "Give frequency_ratio or frequency, one"),
-        ({"frequency_ratio": (1.0, 1.0)}, "frequency_ratio = (1, 1) is a range without width"),
-        ({"frequency_ratio": (1.2, 1.0)}, "frequency_ratio = (1.2, 1) is a range without width"),
-        ({"frequency_ratio": (1.0, np.inf)}, "frequency_ratio must be a range of finite numbers"),
-        ({"frequency_ratio": (0.0, 1.0)}, "frequency_ratio must be above 0 (ratio), got 0.0"),
-        ({"frequency_ratio": (1.0, 1.1, 1.2)}, "frequency_ratio must be a range (low, high)"),
-        ({"frequency_ratio": [1.0, 1.1, 1.2]}, "frequency_ratio must be a range (low, high) or"),
-        ({"frequency_ratio": 1.0}, "Give exactly one range (low, high) to follow"),
-        ({"frequency_ratio": 1.0, "gap": 1e-3}, "Give exactly one range (low, high) to follow"),
-        ({"frequency_ratio": RANGE, "gap": (1e-4, 1e-3)}, "Give exactly one range (low, high)"),
         (
-            {"frequency_ratio": 1.0, "gap": (1e-4, 1e-3), "stiffness": (1.0, 2.0)},
-            "Give exactly one range (low, high) to follow",
+            {"frequency_ratio": vj.Range(0.0, 1.0)},
+            "frequency_ratio must be above 0 (ratio)",
         ),
-        ({"frequency_ratio": 1.0, "gap": (1e-3, 1e-3)}, "gap = (0.001, 0.001) is a range without"),
-        ({"frequency_ratio": 1.0, "gap": (1e-3, "x")}, "gap must be a range of two numbers"),
         (
-            {"frequency_ratio": 1.0, "gaap": (1e-4, 1e-3)},
+            {"frequency_ratio": (1.0, 1.1)},
+            "frequency_ratio must be a range, vj.Range(low",
+        ),
+        ({"frequency_ratio": [1.0, 1.1, 1.2]}, "frequency_ratio must be a range, vj.Range(low"),
+        ({"frequency_ratio": 1.0}, "Give exactly one vj.Range(low, high) to follow"),
+        ({"frequency_ratio": 1.0, "gap": 1e-3}, "Give exactly one vj.Range(low, high) to follow"),
+        (
+            {"frequency_ratio": RANGE, "gap": vj.Range(1e-4, 1e-3)},
+            "Give exactly one vj.Range(low, high)",
+        ),
+        (
+            {"frequency_ratio": 1.0, "gap": vj.Range(1e-4, 1e-3), "stiffness": vj.Range(1.0, 2.0)},
+            "Give exactly one vj.Range(low, high) to follow",
+        ),
+        (
+            {"frequency_ratio": 1.0, "gaap": vj.Range(1e-4, 1e-3)},
             "Unknown argument 'gaap' of the rig. Did you mean",
         ),
         ({"frequency_ratio": RANGE, "gap": []}, "gap must be a non-empty list of finite numbers"),
         ({"frequency_ratio": RANGE, "gap": [np.nan]}, "gap must be a non-empty list of finite"),
-        ({"frequency_ratio": RANGE, "period": 0}, "period must be"),
-        ({"frequency_ratio": RANGE, "max_points": 5}, "max_points must be"),
-        ({"frequency_ratio": RANGE, "longest_step": 0.0}, "longest_step must be from 1e-4 to 1"),
-        ({"frequency_ratio": RANGE, "tolerance": 0.0}, "tolerance must be above 0, up to 0.1"),
     ],
 )
 def test_wrong_arguments_are_refused(arguments, sentence):
@@ -411,7 +425,7 @@ def test_wrong_arguments_are_refused(arguments, sentence):
 def test_systems_that_cannot_be_followed(rig):
     one = rig()
     with pytest.raises(ValueError, match=r"^Unknown argument 'gap'. To follow or vary"):
-        vj.continue_response(one, frequency_ratio=1.0, gap=(1e-4, 1e-3))
+        vj.continue_response(one, frequency_ratio=1.0, gap=vj.Range(1e-4, 1e-3))
     with pytest.raises(ValueError, match=r"needs a drive with an amplitude above 0"):
         vj.continue_response(replace(one, drive=vj.NoDrive()), frequency_ratio=RANGE)
     with pytest.raises(ValueError, match=r"^The system has no stops, so its response is linear"):
@@ -423,7 +437,9 @@ def test_systems_that_cannot_be_followed(rig):
             lambda gap: rig(gap=gap), frequency_ratio=RANGE, gap=GAPS, start=(np.zeros(10), 1.0)
         )
     with pytest.raises(ValueError, match=r"gap"):  # the ends of a range are built, so checked
-        vj.continue_response(lambda gap: rig(gap=gap), frequency_ratio=1.0, gap=(-1e-3, 1e-3))
+        vj.continue_response(
+            lambda gap: rig(gap=gap), frequency_ratio=1.0, gap=vj.Range(-1e-3, 1e-3)
+        )
 
 
 @pytest.mark.parametrize(
@@ -436,5 +452,7 @@ def test_systems_that_cannot_be_followed(rig):
 def test_tolerance_out_of_reach(rig, method, tolerance, sentence):
     with pytest.raises(ValueError, match=sentence):
         vj.continue_response(
-            rounded_rig(rig()), frequency_ratio=RANGE, method=method, tolerance=tolerance
+            rounded_rig(rig()),
+            frequency_ratio=RANGE,
+            settings=vj.ContinuationSettings(method=method, tolerance=tolerance),
         )

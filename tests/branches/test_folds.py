@@ -29,15 +29,22 @@ def test_fold_response_refuses(small_branch, rig):
 
 def test_fold_curves_refuse():
     with pytest.raises(ValueError, match="function that makes the system"):
-        vj.fold_curves(vj.default_rig(), frequency_ratio=(0.9, 1.3), gap=(3e-4, 5e-4))
-    with pytest.raises(ValueError, match="must be a range"):
-        vj.fold_curves(vj.default_rig, frequency_ratio=1.1, gap=(3e-4, 5e-4))
+        vj.fold_curves(
+            vj.default_rig(), frequency_ratio=vj.Range(0.9, 1.3), gap=vj.Range(3e-4, 5e-4)
+        )
+    with pytest.raises(ValueError, match="frequency_ratio must be a Range"):
+        vj.fold_curves(vj.default_rig, frequency_ratio=1.1, gap=vj.Range(3e-4, 5e-4))
     with pytest.raises(ValueError, match="is a list"):
         vj.fold_curves(
-            vj.default_rig, frequency_ratio=(0.9, 1.3), gap=(3e-4, 5e-4), taper=[0.0, 0.5]
+            vj.default_rig,
+            frequency_ratio=vj.Range(0.9, 1.3),
+            gap=vj.Range(3e-4, 5e-4),
+            taper=[0.0, 0.5],
         )
     with pytest.raises(ValueError, match="start must be from"):
-        vj.fold_curves(vj.default_rig, frequency_ratio=(0.9, 1.3), gap=(3e-4, 5e-4), start=1e-3)
+        vj.fold_curves(
+            vj.default_rig, frequency_ratio=vj.Range(0.9, 1.3), gap=vj.Range(3e-4, 5e-4, 1e-3)
+        )
 
 
 def function_of(near):
@@ -78,8 +85,8 @@ def test_fold_curves_pass_through_the_folds_of_branches():
     def make(gap):
         return vj.default_rig(gap=gap, num_modes=1)
 
-    bounds = (0.9, 1.4)
-    curves = vj.fold_curves(make, frequency_ratio=bounds, gap=(0.36e-3, 0.6e-3), start=0.4e-3)
+    bounds = vj.Range(0.9, 1.4)
+    curves = vj.fold_curves(make, frequency_ratio=bounds, gap=vj.Range(0.36e-3, 0.6e-3, 0.4e-3))
     assert len(curves) == 2
     upper, lower = curves.curves
     assert upper.endings == lower.endings == ("end of the range", "end of the range")

@@ -97,7 +97,7 @@ def test_axes_of_the_command_line(asked):
     assert settings["taper"] == [0.0, 0.25, 0.5]
     np.testing.assert_allclose(settings["stiffness"], [1e3, 1e4, 1e5])
     np.testing.assert_allclose(settings["frequency_ratio"], np.linspace(0.9, 1.4, 6))
-    assert repr(settings["response"]) == repr(vj.SettledSweep())
+    assert repr(settings["response"]) == repr(vj.SweepSettings())
     assert (settings["measures"], settings["keep_curves"], settings["gradients"]) == (None,) * 2 + (
         (),
     )
@@ -123,7 +123,7 @@ def test_every_option(asked):
     assert second.values == {"length": [0.1, 0.2], "density": [8e3, 9e3]}
     assert settings["frequency"] == 9.5
     assert "frequency_ratio" not in settings
-    assert repr(settings["response"]) == repr(vj.PeriodicPoints(tolerance=1e-6))
+    assert repr(settings["response"]) == repr(vj.PeriodicSettings(tolerance=1e-6))
     assert (settings["measures"], settings["keep_curves"]) == (["natural_frequency"], True)
     assert (settings["store"], settings["chunk_lanes"]) == (None, 8)
     assert settings["gradients"] == ("gap", "damping")
@@ -166,10 +166,10 @@ def test_settings_of_the_sweep_hold_for_maps(asked):
     Path("rig.toml").write_text(text)
     settings = told(asked, "rig.toml", "--axis", "gap=1e-3,2e-3")
     np.testing.assert_allclose(settings["frequency"], np.linspace(8, 12, 6))
-    wanted = vj.SettledSweep(tolerance=1e-5, max_period=4, refine_jumps=None)
+    wanted = vj.SweepSettings(tolerance=1e-5, max_period=4, refine_jumps=None)
     assert repr(settings["response"]) == repr(wanted)
     settings = told(asked, "rig.toml", "--axis", "gap=1e-3,2e-3", "--response", "continuation")
-    assert repr(settings["response"]) == repr(vj.ContinuationCurve())
+    assert repr(settings["response"]) == repr(vj.ContinuationSettings())
     assert len(told(asked, "--axis", "gap=1e-3")["frequency_ratio"]) == 61
 
 
@@ -201,7 +201,7 @@ def test_a_single_lane_is_not_drawn(folder, capsys, asked):
 
 
 def test_what_has_too_many_axes_is_not_drawn(folder, capsys, asked, monkeypatch):
-    def refuse(_):
+    def refuse(*_, **__):
         raise ValueError("3 axes are left over.")
 
     monkeypatch.setattr("vibrojax.plot.map_plot.plot_map", refuse)
@@ -385,7 +385,7 @@ def test_help(capsys):
 def test_a_rig_file_may_carry_a_map(folder):
     system, settings = vj.io.read_rig("map.toml")
     assert repr(system) == repr(vj.io.read_rig("rig.toml")[0])
-    assert settings.keys() == {"frequency"}
+    assert settings.keys() == {"frequency", "settings"}
     assert read_map("rig.toml") == {}
     with pytest.raises(ValueError, match=r"^Rig file 'no.toml' does not exist"):
         read_map("no.toml")

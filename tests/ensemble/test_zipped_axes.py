@@ -10,12 +10,12 @@ import xarray
 
 import vibrojax as vj
 from vibrojax.branches.along import along_of
-from vibrojax.branches.lane_paths import paths_of
 from vibrojax.results.axes import axis_scale, coordinates_of, example, pick, together
 
 TAPERS, GAPS = [0.0, 0.5, 0.8, 0.3], [3e-4, 4e-4, 3e-4, 5e-4]
 GRID = [0.9, 1.0, 1.1]
-SETTINGS = {"frequency_ratio": GRID, "direction": "forward", "refine_jumps": None}
+SWEPT = vj.SweepSettings(direction="forward", refine_jumps=None)
+SETTINGS = {"frequency_ratio": GRID, "settings": SWEPT}
 GROUP = vj.zipped(taper=TAPERS, gap=GAPS)
 
 
@@ -61,7 +61,7 @@ def test_its_dataset_has_the_coordinates_of_both(zipped, tmp_path):
 @pytest.mark.slow  # to compile
 def test_it_is_the_map_of_the_group(zipped):
     maps = vj.parameter_map(
-        build, GROUP, frequency_ratio=GRID, response=vj.SettledSweep("forward"), progress=False
+        build, GROUP, frequency_ratio=GRID, response=vj.SweepSettings("forward"), progress=False
     )
     dataset = zipped.to_xarray()
     assert set(maps.coords) == set(dataset.coords)
@@ -97,7 +97,7 @@ def test_a_keyword_names_the_axis_and_text_may_go_along():
 
 @pytest.mark.slow  # to compile
 def test_histories_of_a_group():
-    found = vj.simulate_each(build, GROUP, frequency=9.0, periods=1, samples_per_period=48)
+    found = vj.simulate(build, GROUP, frequency=9.0, periods=1, samples_per_period=48)
     assert (found.shape, len(found)) == ((4,), 4)
     one = found.at(taper=0.8)
     assert float(one.system.beam.taper) == 0.8
@@ -114,7 +114,7 @@ def test_histories_of_a_group():
 @pytest.mark.slow  # to compile
 def test_branches_of_a_group():
     group = vj.zipped(taper=[0.0, 0.5], gap=[3e-4, 4e-4])
-    found = vj.continue_response(build, group, frequency_ratio=(0.95, 1.05))
+    found = vj.continue_response(build, group, frequency_ratio=vj.Range(0.95, 1.05))
     assert found.shape == (2,)
     assert found.sel(taper=0.5).labels == {"taper": 0.5, "gap": 4e-4}
     dataset = found.to_xarray()
@@ -131,28 +131,40 @@ def test_branches_of_a_group():
 
 def test_branches_along_another_number_take_groups():
     group = vj.zipped(taper=[0.0, 0.5], gap=[3e-4, 4e-4])
-    along = along_of(build, 1.05, None, {"stiffness": (5e3, 6e3), "num_modes": 1}, (group,))
+    along = along_of(build, 1.05, None, {"stiffness": vj.Range(5e3, 6e3), "num_modes": 1}, (group,))
     assert along.labels == [{"taper": 0.0, "gap": 3e-4}, {"taper": 0.5, "gap": 4e-4}]
-    rows = paths_of(along, exact=True).fixed
-    np.testing.assert_array_equal(rows["gap"], [3e-4, 4e-4])
+    (stop,) = along.paths(exact=True).system.stops
+    np.testing.assert_array_equal(stop.gap, [3e-4, 4e-4])
     texts = vj.zipped(material=["soft", "hard"], gap=[3e-4, 4e-4])
     with pytest.raises(ValueError, match="material_gap must be numbers, got texts"):
-        along_of(build, (0.9, 1.1), None, {}, (texts,))
+        along_of(build, vj.Range(0.9, 1.1), None, {}, (texts,))
     twice = vj.zipped(gap=[1.0], stiffness=[1.0])
     with pytest.raises(ValueError, match="stiffness is given twice"):
-        along_of(build, 1.0, None, {"stiffness": (1, 2)}, (twice,))
+        along_of(build, 1.0, None, {"stiffness": vj.Range(1, 2)}, (twice,))
 
 
 @pytest.mark.slow  # to compile
 def test_regimes_and_diagrams_of_a_group():
-    few = {"transient": 20, "periods": 40, "max_period": 4, "samples_per_period": 32}
-    found = vj.regimes(build, GROUP, frequency_ratio=GRID, lyapunov=False, **few)
+    few = vj.RegimeSettings(
+        transient=20,
+        periods=40,
+        max_period=4,
+        samples_per_period=32,
+        lyapunov=False,
+        spectrum=False,
+    )
+    found = vj.regimes(build, GROUP, frequency_ratio=GRID, settings=few)
     assert found.to_xarray().period.dims == ("taper_gap", "frequency_ratio")
     drawn(found.plot())
     drawn(found.poincare(taper=0.5))
     title = drawn(found.plot(taper=0.5)).axes[0].get_title(loc="left")
     assert title == "taper = 0.5, gap = 0.0004 m"
-    diagram = vj.bifurcation_diagram(build, GROUP, frequency_ratio=GRID, lyapunov=False, **few)
+    diagram = vj.bifurcation_diagram(
+        build,
+        GROUP,
+        frequency_ratio=GRID,
+        settings=few,
+    )
     assert diagram.to_xarray().period.dims == ("taper_gap", "direction", "frequency_ratio")
     drawn(diagram.plot(taper=0.8))
     with pytest.raises(ValueError, match="such as taper=0"):
@@ -210,7 +222,7 @@ def test_how_a_group_is_drawn():
     np.testing.assert_array_equal(scale.places, [0.0, 1.0])
     assert scale.labels == ["kind = a, gap = 2 m", "kind = b, gap = 2 m"]
     assert example(axes, "design") == "kind='a'"
-    assert pick(axes, {"design": "b"}) == ((1,), {"kind": "b", "gap": 2.0}, [])
+    assert pick(axes, {"design": "b"}) == ((1,), [])
     assert coordinates_of(axes)["gap"][0] == ("design",)
     scale = axis_scale({"gap": np.array([1.0, 2.0])}, "gap")
     assert (scale.number, scale.partners, scale.is_scale) == ("gap", "", True)

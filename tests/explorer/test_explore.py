@@ -11,7 +11,8 @@ from vibrojax.explorer import explorer as explorer_module
 from vibrojax.explorer.live_curve import LiveCurve
 from vibrojax.explorer.swept_curve import swept_curve
 
-RANGE = (0.85, 1.31)
+RANGE = vj.Range(0.85, 1.31)
+GAP = vj.Range(1e-4, 1e-3)
 traced = []
 
 
@@ -23,7 +24,10 @@ def rig(gap=0.4e-3, stiffness=5500.0, taper=0.5):
 @pytest.fixture(scope="module")
 def explorer():
     return vj.explore(
-        rig, gap=(0.2e-3, 0.8e-3), stiffness=(500, 50000, 5500.0), frequency_ratio=RANGE
+        rig,
+        gap=vj.Range(0.2e-3, 0.8e-3),
+        stiffness=vj.Range(500, 50000, 5500.0),
+        frequency_ratio=RANGE,
     )
 
 
@@ -178,7 +182,7 @@ def test_measured_points_are_laid_over():
         amplitude=np.linspace(5.0, 30.0, 8),
         direction=np.r_[np.ones(4, int), -np.ones(4, int)],
     )
-    explorer = vj.explore(rig, gap=(0.2e-3, 0.8e-3), measured=measured)
+    explorer = vj.explore(rig, gap=vj.Range(0.2e-3, 0.8e-3), measured=measured)
     picture = explorer.picture()
     drawn = [line for line in picture.response.lines if line.get_label().startswith("measured")]
     assert sum(len(line.get_xdata()) for line in drawn) == 8
@@ -190,18 +194,15 @@ def test_measured_points_are_laid_over():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (dict(gap=(1e-3, 1e-4)), "gap must be a range"),
-        (dict(gap=(1e-4, "wide")), "gap must be a range"),
-        (dict(gap=[1e-4, 1e-3], stiffness=(1e3, 1e4)), "gap must be a range"),
+        (dict(gap=(1e-4, 1e-3)), "gap must be a range"),
+        (dict(gap=[1e-4, 1e-3], stiffness=vj.Range(1e3, 1e4)), "gap must be a range"),
         (dict(gap=0.4e-3), "at least one number a range"),
-        (dict(gab=(1e-4, 1e-3)), "Did you mean 'gap'"),
-        (dict(gap=(-1e-4, 1e-3)), "gap"),
-        (dict(gap=(1e-4, 1e-3), frequency_ratio=(1.2, 0.9)), "frequency_ratio must be a range"),
-        (dict(gap=(1e-4, 1e-3), variable="amplitude"), "variable must be one of"),
-        (
-            dict(gap=(1e-4, 1e-3), frequency=(5.0, 20.0), frequency_ratio=(0.9, 1.2)),
-            "one of the two",
-        ),
+        (dict(gab=GAP), "Did you mean 'gap'"),
+        (dict(gap=vj.Range(-1e-4, 1e-3)), "gap"),
+        (dict(gap=GAP, frequency_ratio=vj.Range(0.0, 0.9)), "frequency_ratio must be"),
+        (dict(gap=GAP, frequency_ratio=(0.9, 1.2)), "frequency_ratio must be a Range"),
+        (dict(gap=GAP, variable="amplitude"), "variable must be one of"),
+        (dict(gap=GAP, frequency=vj.Range(5.0, 20.0), frequency_ratio=RANGE), "one of the two"),
     ],
 )
 def test_wrong_calls_are_refused(call, words):
@@ -211,7 +212,7 @@ def test_wrong_calls_are_refused(call, words):
 
 def test_a_rig_in_place_of_a_function_is_refused(explorer):
     with pytest.raises(ValueError, match="must be a function"):
-        vj.explore(rig(), gap=(1e-4, 1e-3))
+        vj.explore(rig(), gap=GAP)
     with pytest.raises(ValueError, match="Did you mean 'gap'"):
         explorer.curve(gab=1e-3)
 
@@ -224,7 +225,8 @@ def test_any_law_and_any_quantity():
             vj.default_rig().beam, stop, vj.BaseMotion(0.2e-3), damping_ratio=0.018, num_modes=3
         )
 
-    explorer = vj.explore(soft, gap=(0.2e-3, 0.8e-3), hardness=(1e7, 1e9), variable="contact_force")
+    ranges = dict(gap=vj.Range(0.2e-3, 0.8e-3), hardness=vj.Range(1e7, 1e9))
+    explorer = vj.explore(soft, **ranges, variable="contact_force")
     curve = explorer.curve()
     assert len(curve.frequency) > 20
     np.testing.assert_array_equal(curve.response, curve.contact_force)

@@ -187,13 +187,13 @@ def test_chirp_of_the_elastic_pendulum_locks_at_three_drive_periods():
     """From about 5.5 Hz on, as Litak et al., fig. 4; counts and bending of a reference in numpy."""
     draw = np.random.default_rng(1)
     starts = [(a * np.ones(17), b * np.ones(17)) for a, b in draw.uniform(-0.12, 0.12, (6, 2))]
-    found = vj.simulate_each(
+    found = vj.simulate(
         vj.default_pendulum(),
         waveform=vj.Chirp(2.0, 9.0, 15.0),
         duration=15.0,
         samples=3750,
         initial_states=starts,
-        solver=vj.LinearlyImplicit(longest_step=4e-4),
+        stepper=vj.LinearlyImplicit(longest_step=4e-4),
     )
     cycles = found.cycles("bearing_angle", threshold=0.3 * 0.006 / 0.04)
     table = cycles.statistics(np.arange(5.5, 8.6, 0.5), share_of={3: 0.25})

@@ -40,7 +40,7 @@ def test_history_matches_exact_propagation(solver, gradient, bound):
         frequency_ratio=1.1,
         periods=PERIODS,
         samples_per_period=64,
-        solver=solver,
+        stepper=solver,
         gradient=gradient,
     )
     tip, force = oracle_tip(1.1, 64)
@@ -56,7 +56,7 @@ def test_any_implicit_solver_runs():
         frequency_ratio=1.1,
         periods=1,
         samples_per_period=16,
-        solver=diffrax.Kvaerno3(),
+        stepper=diffrax.Kvaerno3(),
         tolerance=1e-4,
     )
     tip, _ = oracle_tip(1.1, 16, 1)
@@ -97,7 +97,7 @@ def test_release_starts_from_the_static_shape_and_decays():
 @pytest.mark.parametrize("solver", [vj.ExactContact(1e-8), vj.ExponentialSplitting(1e-3)])
 def test_an_undamped_mode_turns_at_its_own_frequency(rig, solver):
     system = vj.ImpactingBeam(rig().beam, rig().stops, num_modes=1)
-    history = vj.simulate(system, release=-1e-4, periods=2, solver=solver)
+    history = vj.simulate(system, release=-1e-4, periods=2, stepper=solver)
     assert history.status == vj.Status.completed.value
     turn = 2 * np.pi * np.linspace(0, 2, 257)
     np.testing.assert_allclose(history.displacement(), -1e-4 * np.cos(turn), atol=1e-12)
@@ -118,7 +118,7 @@ def test_chirp_matches_an_adaptive_solver():
     wave = vj.Chirp(8.0, 12.0, 1.0, "logarithmic")
     ours = vj.simulate(rig, waveform=wave, duration=1.0, samples=4000)
     other = vj.simulate(
-        rig, waveform=wave, duration=1.0, samples=4000, solver=diffrax.Dopri8(), tolerance=1e-9
+        rig, waveform=wave, duration=1.0, samples=4000, stepper=diffrax.Dopri8(), tolerance=1e-9
     )
     assert relative_error(ours.displacement(), np.asarray(other.displacement())) < 2e-3
 
@@ -209,7 +209,7 @@ def test_gradients_nest_with_vmap():
 
 @pytest.mark.slow
 def test_gradient_of_splitting_matches_finite_differences():
-    settings = {"solver": vj.ExponentialSplitting(steps_per_period=512)}
+    settings = {"stepper": vj.ExponentialSplitting(steps_per_period=512)}
     gradient = jax.grad(lambda x: loss(x, **settings))(POINT)
     expected = finite_differences(lambda x: loss(x, **settings), POINT)
     np.testing.assert_allclose(gradient, expected, rtol=1e-4)

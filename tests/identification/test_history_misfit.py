@@ -5,6 +5,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.identification.history_misfit import LOST, HistoryMisfit
+from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.history import MeasuredHistory
 
 NAMES = ("stiffness", "gap", "damping_ratio")
@@ -39,7 +40,7 @@ def settled(channels, *, samples, ratio=1.1, settling=600, position=None, **numb
 def misfit(time, signals, make=vj.default_rig, *, names=NAMES, fixed=FIXED, **facts):
     deviation = {name: DEVIATION[name] for name in signals}
     history = MeasuredHistory(time=time, deviation=deviation, **signals, **facts)
-    return HistoryMisfit(make, names, fixed, {}, [history])
+    return HistoryMisfit(Maker(make, names, fixed, {}), [history])
 
 
 def at(values, target):
@@ -233,4 +234,4 @@ def test_repetitions_have_the_same_samples():
     whole = MeasuredHistory(time=TIME, frequency=10.0, **SIGNALS)
     part = MeasuredHistory(time=TIME, frequency=10.0, window=(0.0, 0.05), **SIGNALS)
     with pytest.raises(ValueError, match="as many samples"):
-        HistoryMisfit(vj.default_rig, NAMES, FIXED, {}, [whole, part])
+        HistoryMisfit(Maker(vj.default_rig, NAMES, FIXED, {}), [whole, part])

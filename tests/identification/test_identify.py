@@ -13,6 +13,7 @@ from vibrojax.identification.coordinates import coordinate_of
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.findings import modes_left_out
 from vibrojax.identification.least_squares import LevenbergMarquardt
+from vibrojax.identification.trial_rigs import Maker
 from vibrojax.identification.uncertainty import influence, uncertainty
 
 DATA = Path(__file__).parents[1] / "data"
@@ -91,7 +92,8 @@ def test_poor_guesses_end_in_the_same_place(make, name, fit):
 
 
 def test_repetitions_side_by_side_are_what_they_are_alone(make, name, fit):
-    together = vj.identify_each(make, [measured(1, name=name), measured(0, name=name)], GUESS)
+    curves = [measured(1, name=name), measured(0, name=name)]
+    together = vj.identify(make, curves, GUESS, together=False)
     assert len(together) == 2
     alone = fit.estimate["stiffness"]
     # Searches end within a hundredth of a standard deviation.
@@ -112,7 +114,7 @@ def test_residuals_are_distances_over_the_deviation(fit):
 @pytest.mark.slow
 def test_the_derivative_of_the_misfit(make, name):
     data = measured(name=name)
-    misfit = CurveMisfit(make, ("stiffness", "damping"), {}, {}, [data])
+    misfit = CurveMisfit(Maker(make, ("stiffness", "damping"), {}, {}), [data])
     which = np.zeros(1, int)
 
     def squares(numbers):
@@ -291,7 +293,13 @@ def test_what_it_refuses(make, name):
     with pytest.raises(ValueError, match="Did you mean 'stiffness'"):
         vj.identify(make, data, dict(stifness=3000.0))
     with pytest.raises(ValueError, match="outside its bounds"):
-        vj.identify(make, data, GUESS, bounds=dict(stiffness=(1e4, 1e5)))
+        vj.identify(make, data, GUESS, bounds=dict(stiffness=vj.Range(1e4, 1e5)))
+    with pytest.raises(ValueError, match="bounds of stiffness must be a range"):
+        vj.identify(make, data, GUESS, bounds=dict(stiffness=(1e3, 1e5)))
+    with pytest.raises(ValueError, match="gap must be one value that is held fixed"):
+        vj.identify(make, data, GUESS, gap=[3e-4, 4e-4])
+    with pytest.raises(ValueError, match="each of its elements to be fitted by itself"):
+        vj.identify(make, data, GUESS, together=False)
     with pytest.raises(ValueError, match="both fitted"):
         vj.identify(make, data, GUESS, stiffness=5500.0)
     with pytest.raises(ValueError, match="fewer measured points"):
@@ -310,7 +318,7 @@ def test_what_it_refuses(make, name):
 
 
 def test_a_curve_without_contact_is_refused(make):
-    free = vj.continue_response(make(gap=0.4e-3), frequency_ratio=(0.3, 0.5))
+    free = vj.continue_response(make(gap=0.4e-3), frequency_ratio=vj.Range(0.3, 0.5))
     assert free.contact_force.max() == 0
     ratio = np.linspace(0.3, 0.5, 20)
     data = vj.io.MeasuredCurve(
@@ -349,14 +357,15 @@ def test_modes_left_out_are_named(rig):
 
 
 def test_coordinates_hold_their_bounds():
-    stiffness = coordinate_of("stiffness", "stiffness", 3000.0, (100.0, 1e5), None)
+    stiffness = coordinate_of("stiffness", 3000.0, vj.Range(100.0, 1e5))
     assert stiffness.kind == "log"
     np.testing.assert_allclose(stiffness.number(np.array(stiffness.limits)), [100.0, 1e5])
-    damping = coordinate_of("damping", "damping", 0.0, None, None)
+    damping = coordinate_of("damping", 0.0)
     assert damping.kind == "asinh"
     assert damping.limits[0] == 0.0
-    assert coordinate_of("damping_ratio", "damping_ratio", 0.01, None, None).kind == "log"
-    assert coordinate_of("offset", "offset", -1.0, None, None).kind == "linear"
+    assert coordinate_of("gap", 1e-4, vj.Range(0.0, 1e100)).limits == (-np.inf, np.inf)
+    assert coordinate_of("damping_ratio", 0.01).kind == "log"
+    assert coordinate_of("offset", -1.0).kind == "linear"
     for c, u in ((stiffness, 8.0), (damping, 0.7)):
         slope = (c.number(u + 1e-6) - c.number(u - 1e-6)) / 2e-6
         assert float(c.slope(u)) == pytest.approx(float(slope), rel=1e-8)
@@ -379,6 +388,10 @@ def test_least_squares_stays_within_bounds():
     assert found.converged.all()
     found = LevenbergMarquardt()(valley, start, -everywhere, np.array([0.5, 9.0]), 1e-8)
     np.testing.assert_allclose(found.point, [[0.5, 0.25]] * 2, atol=1e-3)
+    # Cut short just after a step that went too far: the point is the one of the least cost.
+    found = LevenbergMarquardt(3)(valley, start, -everywhere, everywhere, 1e-10)
+    residual, _ = valley(found.point, None)
+    np.testing.assert_allclose(np.sum(residual**2, axis=1), found.cost, rtol=1e-12)
 
 
 def test_uncertainty_of_a_straight_line():
@@ -389,9 +402,7 @@ def test_uncertainty_of_a_straight_line():
     residual = rng.standard_normal(40)
     point = np.linalg.lstsq(jacobian[:, :2], -residual, rcond=None)[0]
     residual = residual + jacobian[:, :2] @ point
-    coordinates = tuple(
-        coordinate_of(n, n, 1.0, None, "linear") for n in ("level", "slope", "nothing")
-    )
+    coordinates = tuple(coordinate_of(n, 1.0, kind="linear") for n in ("level", "slope", "nothing"))
     known = uncertainty(residual, jacobian, np.zeros(3), coordinates, 37, 0.95)
     excess = max(1.0, residual @ residual / 37)
     np.testing.assert_allclose(

@@ -52,7 +52,8 @@ def test_default_rig_from_a_file(tmp_path, rig):
     system, settings = vj.io.read_rig(write(tmp_path, DEFAULT))
     assert same(system, vj.default_rig())
     assert same(system, rig())
-    assert settings.keys() == {"frequency_ratio"}
+    assert settings.keys() == {"frequency_ratio", "settings"}
+    assert settings["settings"] == vj.SweepSettings()
     np.testing.assert_allclose(settings["frequency_ratio"], [0.9, 1.0, 1.1, 1.2])
 
 
@@ -71,7 +72,7 @@ def test_example_has_every_part():
     assert [stop.gap for stop in system.stops] == [0.5e-3, 0.7e-3]
     assert not any(stop.law.tension for stop in system.stops)
     assert (system.beam.taper, system.num_modes) == (0.0, 5)
-    assert (len(settings["frequency"]), settings["direction"]) == (97, "both")
+    assert (len(settings["frequency"]), settings["settings"].direction) == (97, "both")
 
 
 def test_example_names_every_key():
@@ -140,7 +141,7 @@ def test_point_force_and_no_stop(tmp_path):
 def test_settings_go_into_a_sweep(tmp_path):
     more = 'direction = "both"\nrefine_jumps = false\nmax_period = 8\nmax_periods = 50\n'
     system, settings = vj.io.read_rig(write(tmp_path, DEFAULT + more))
-    assert settings["refine_jumps"] is None
+    assert settings["settings"].refine_jumps is None
     response = vj.frequency_sweep(replace(system, num_modes=1), **settings)
     assert response.amplitude_ratio.shape == (2, 4)
 

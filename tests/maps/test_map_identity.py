@@ -57,7 +57,7 @@ def small_map(rig, store, **more):
     few = {"measures": ["natural_frequency"], "keep_curves": True, "chunk_lanes": 2}
     return vj.parameter_map(
         rig, natural=NATURAL, frequency_ratio=[0.9, 1.0, 1.1], store=store, progress=False,
-        response=vj.SettledSweep("forward", refine_jumps=None), **(few | more),
+        response=vj.SweepSettings("forward", refine_jumps=None), **(few | more),
     )  # fmt: skip
 
 

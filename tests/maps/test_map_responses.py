@@ -1,5 +1,7 @@
 """Maps of periodic responses and of branches, and derivatives of all of them."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -54,7 +56,7 @@ def test_branches_are_those_of_single_calls(branches):
     assert branches.amplitude_ratio.dims == ("gap", "crossing", "frequency_ratio")
     assert branches.lane_status.attrs["flag_meanings"].startswith("completed incomplete")
     for gap in GAPS:
-        branch = vj.continue_response(rig(gap), frequency_ratio=(GRID[0], GRID[-1]))
+        branch = vj.continue_response(rig(gap), frequency_ratio=vj.Range(GRID[0], GRID[-1]))
         at, lane = branch.resample(GRID), branches.sel(gap=gap)
         crossings = at.sizes["crossing"]
         for name in ("amplitude_ratio", "contact_force", "leading_multiplier", "stable"):
@@ -106,7 +108,7 @@ def test_derivatives_along_branches(branches):
     assert np.isfinite(one.d_amplitude_ratio_d_gap.values[unstable]).all()
 
 
-SWEEP = vj.SettledSweep(tolerance=1e-6, refine_jumps=1e-4)
+SWEEP = vj.SweepSettings(tolerance=1e-6, refine_jumps=1e-4)
 
 
 def area_under(curve):
@@ -144,9 +146,13 @@ def test_derivatives_of_sweeps():
         make, found, names, {"stiffness": 5500.0, "base_amplitude": 0.2e-3}, np.asarray
     )
     assert found.d_peak_d_stiffness.attrs["units"] == "1/(N/m)"
+
+    def two_modes(gap):
+        return dataclasses.replace(rig(gap), num_modes=2)
+
     jumps = vj.parameter_map(
-        rig,
-        frequency_ratio=GRID,
+        two_modes,
+        frequency_ratio=[1.0, 1.1, 1.15, 1.2, 1.3],
         gap=GAPS,
         response=SWEEP,
         measures=["jump_up", "jump_down", "hysteresis_width", "natural_frequency"],
@@ -154,7 +160,7 @@ def test_derivatives_of_sweeps():
     )
     assert jumps.d_jump_down_d_gap.attrs["units"] == "1/m"
     folds = {
-        gap: vj.continue_response(rig(gap), frequency_ratio=(1.0, 1.4)).folds
+        gap: vj.continue_response(two_modes(gap), frequency_ratio=vj.Range(1.0, 1.3)).folds
         for gap in (GAPS[1] * 0.999, GAPS[1] * 1.001)
     }
     down, up = np.diff(list(folds.values()), axis=0)[0] / (0.002 * GAPS[1])
@@ -170,7 +176,7 @@ def test_no_derivative_where_there_is_no_steady_state():
     # With so few periods nothing settles: the curve is flagged, and so is its derivative.
     found = vj.parameter_map(
         rig,
-        response=vj.SettledSweep(max_period=1, max_periods=3, refine_jumps=None),
+        response=vj.SweepSettings(max_period=1, max_periods=3, refine_jumps=None),
         gradients="gap",
         **settings,
     )
@@ -189,7 +195,7 @@ def test_a_measure_that_jax_cannot_trace_is_told_so():
             rig,
             frequency_ratio=[1.0, 1.05],
             gap=GAPS,
-            response=vj.SettledSweep("forward", refine_jumps=None),
+            response=vj.SweepSettings("forward", refine_jumps=None),
             measures={"numpy_only": lambda c: np.array(c["amplitude_ratio"]).max()},
             gradients="gap",
         )

@@ -12,7 +12,7 @@ import vibrojax as vj
 
 GRID = np.array([1.02, 1.1, 1.18, 1.5])
 GAPS, TAPERS = [3e-4, 4e-4, 6e-4], [0.0, 0.5]
-SWEEP = vj.SettledSweep(tolerance=1e-6, refine_jumps=1e-3, max_periods=300)
+SWEEP = vj.SweepSettings(tolerance=1e-6, refine_jumps=1e-3, max_periods=300)
 
 
 def rig(taper=0.5, gap=4e-4, stiffness=5500.0, formulation="consistent", num_modes=1):
@@ -46,9 +46,7 @@ def test_every_lane_is_what_a_single_call_gives(crossed):
             one = vj.frequency_sweep(
                 rig(taper, gap),
                 frequency_ratio=GRID,
-                tolerance=1e-6,
-                refine_jumps=1e-3,
-                max_periods=300,
+                settings=vj.SweepSettings(tolerance=1e-6, refine_jumps=1e-3, max_periods=300),
             )
             lane = crossed.sel(taper=taper, gap=gap)
             single = one.to_xarray()
@@ -122,12 +120,14 @@ def test_a_map_is_made_again_from_its_attributes_alone(crossed):
 @pytest.mark.slow
 def test_one_frequency_is_no_axis():
     found = vj.parameter_map(
-        rig, frequency_ratio=1.1, gap=GAPS, taper=0.5, response=vj.SettledSweep("forward")
+        rig, frequency_ratio=1.1, gap=GAPS, taper=0.5, response=vj.SweepSettings("forward")
     )
     assert found.amplitude_ratio.dims == ("gap", "direction")
     assert float(found.frequency_ratio) == 1.1
     assert found.frequency_ratio.dims == ()
-    one = vj.frequency_sweep(rig(0.5, GAPS[1]), frequency_ratio=[1.1], direction="forward")
+    one = vj.frequency_sweep(
+        rig(0.5, GAPS[1]), frequency_ratio=[1.1], settings=vj.SweepSettings(direction="forward")
+    )
     assert float(found.amplitude_ratio[1, 0]) == pytest.approx(one.amplitude_ratio[0, 0])
     assert "frequency_ratio" in found.coords
 
@@ -155,7 +155,7 @@ def test_texts_and_structure_as_axes():
         gap=GAPS[:2],
         formulation=["consistent", "as_printed"],
         num_modes=[1, 2],
-        response=vj.SettledSweep("forward"),
+        response=vj.SweepSettings("forward"),
         measures="peak_amplitude_ratio",
     )
     assert found.peak_amplitude_ratio.dims == ("gap", "formulation", "num_modes")
@@ -164,7 +164,7 @@ def test_texts_and_structure_as_axes():
             one = vj.frequency_sweep(
                 rig(gap=GAPS[1], formulation=kind, num_modes=count),
                 frequency_ratio=[1.1],
-                direction="forward",
+                settings=vj.SweepSettings(direction="forward"),
             )
             lane = found.sel(formulation=kind, num_modes=count).isel(gap=1)
             assert float(lane.peak_amplitude_ratio) == pytest.approx(
@@ -199,7 +199,7 @@ def test_new_numbers_do_not_compile_again(crossed):
         frequency_ratio=GRID + 0.01,
         taper=[0.1, 0.4],
         gap=[3.1e-4, 4.2e-4, 5e-4],
-        response=vj.SettledSweep(tolerance=1e-5, refine_jumps=1e-3, max_periods=200),
+        response=vj.SweepSettings(tolerance=1e-5, refine_jumps=1e-3, max_periods=200),
     )
     assert not compiled
 
@@ -231,7 +231,7 @@ def test_memory_bounds_the_chunks():
             rig,
             frequency_ratio=1.1,
             gap=np.linspace(2e-4, 1e-3, 5000),
-            response=vj.SettledSweep("forward"),
+            response=vj.SweepSettings("forward"),
             memory=memory,
             dry_run=True,
         )
@@ -270,7 +270,7 @@ REFUSALS = [
     ({"gap": [3e-4], "client": object()}, "client= needs store="),
     ({"gap": [3e-4], "measures": {"gap": lambda curve: 1.0}}, "would be an axis and a result"),
     (
-        {"gap": [3e-4], "measures": "hysteresis_area", "response": vj.SettledSweep("forward")},
+        {"gap": [3e-4], "measures": "hysteresis_area", "response": vj.SweepSettings("forward")},
         "'hysteresis_area' for this response",
     ),
 ]
@@ -281,7 +281,7 @@ def test_wrong_input_is_refused_before_anything_is_computed(monkeypatch, argumen
     def computed(*_, **__):
         raise AssertionError("something was computed")
 
-    monkeypatch.setattr("vibrojax.maps.settled_sweep.sweep_rigs", computed)
+    monkeypatch.setattr("vibrojax.maps.sweep_map.sweep_rigs", computed)
     with pytest.raises(ValueError, match=sentence):
         vj.parameter_map(rig, frequency_ratio=GRID, **arguments)
 

@@ -7,7 +7,13 @@ from unit_oscillator import oscillator
 import vibrojax as vj
 
 UNIT = 2 * np.pi
-SETTINGS = {"transient": 150, "periods": 120, "max_period": 8, "samples_per_period": 16}
+SETTINGS = {
+    "transient": 150,
+    "periods": 120,
+    "max_period": 8,
+    "samples_per_period": 16,
+    "spectrum": False,
+}
 W = np.array([0.87, 0.89, 0.94])
 GAPS = [1.0, 10.0]
 
@@ -15,7 +21,11 @@ GAPS = [1.0, 10.0]
 @pytest.fixture(scope="module")
 def mapped(tmp_path_factory):
     path = tmp_path_factory.mktemp("map") / "regimes.zarr"
-    response = vj.RegimeSweep(strobes=True, observables=("displacement",), **SETTINGS)
+    response = vj.RegimeSettings(
+        strobes=True,
+        observables=("displacement",),
+        **SETTINGS,
+    )
 
     def run():
         return vj.parameter_map(
@@ -33,7 +43,11 @@ def mapped(tmp_path_factory):
 def test_a_map_is_its_bifurcation_diagrams(mapped):
     found, _ = mapped
     diagram = vj.bifurcation_diagram(
-        oscillator, frequency=W / UNIT, gap=GAPS, progress=False, **SETTINGS
+        oscillator,
+        frequency=W / UNIT,
+        gap=GAPS,
+        progress=False,
+        settings=vj.RegimeSettings(**SETTINGS),
     )
     assert found.regime.dims == ("gap", "direction", "frequency")
     assert found.displacement.dims == ("gap", "direction", "frequency", "strobe")
@@ -72,7 +86,7 @@ def test_only_periodic_motions_have_derivatives():
         oscillator,
         frequency=W / UNIT,
         gap=GAPS,
-        response=vj.RegimeSweep(**SETTINGS),
+        response=vj.RegimeSettings(**SETTINGS),
         measures=["chaotic_fraction"],
         gradients=["gap"],
         keep_curves=True,
@@ -88,10 +102,15 @@ def test_only_periodic_motions_have_derivatives():
 
 def test_wrong_settings_are_refused_before_anything_runs():
     with pytest.raises(ValueError, match="direction must be one of"):
-        vj.RegimeSweep(direction="up")
+        vj.RegimeSettings(
+            direction="up", periods=100, max_period=16, samples_per_period=32, spectrum=False
+        )
     with pytest.raises(ValueError, match="periods must be a whole number of at least 32"):
-        vj.RegimeSweep(periods=4)
-    unknown = vj.RegimeSweep(observables=("chord_reducton",), **SETTINGS)
+        vj.RegimeSettings(periods=4, max_period=16, samples_per_period=32, spectrum=False)
+    unknown = vj.RegimeSettings(
+        observables=("chord_reducton",),
+        **SETTINGS,
+    )
     with pytest.raises(ValueError, match="Unknown observable 'chord_reducton'"):
         vj.parameter_map(oscillator, frequency=0.2, gap=GAPS, response=unknown)
     with pytest.raises(ValueError, match="'regimes'"):

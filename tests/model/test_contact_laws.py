@@ -101,7 +101,7 @@ def test_histories_agree_with_scipy_and_with_other_solvers(beam, name):
     settings = {"frequency_ratio": 1.1, "periods": 6, "samples_per_period": 64}
     ours = vj.simulate(system, **settings, tolerance=1e-7)
     if name in ("hertz", "rubber"):
-        peer = vj.simulate(system, **settings, solver=diffrax.Tsit5(), tolerance=1e-8)
+        peer = vj.simulate(system, **settings, stepper=diffrax.Tsit5(), tolerance=1e-8)
         size = float(jnp.max(jnp.abs(peer.displacement())))
         np.testing.assert_allclose(ours.displacement(), peer.displacement(), atol=1e-5 * size)
         return
@@ -152,10 +152,14 @@ def test_histories_go_on_from_where_another_ended(beam):
 def test_sweep_shooting_and_balance_find_the_same_motion(beam, name):
     system = beam(LAWS[name])
     curve = vj.frequency_sweep(
-        system, frequency_ratio=[1.05], direction="forward", tolerance=1e-4, refine_jumps=None
+        system,
+        frequency_ratio=[1.05],
+        settings=vj.SweepSettings(direction="forward", tolerance=1e-4, refine_jumps=None),
     )
     assert int(curve.period.item()) == 1
-    shot = vj.periodic_response(system, frequency_ratio=1.05, method=vj.Shooting())
+    shot = vj.periodic_response(
+        system, frequency_ratio=1.05, settings=vj.PeriodicSettings(method=vj.Shooting())
+    )
     assert shot.status == vj.Status.settled.value
     # Shooting reads the force at its steps: less finely than the displacement.
     found = {
@@ -177,14 +181,16 @@ def test_laws_with_memory_are_refused_by_name_where_they_cannot_be(beam):
     system = beam(RUBBER)
     sentence = "StandardLinearSolid has an internal state. Use frequency_sweep"
     with pytest.raises(ValueError, match=sentence):
-        vj.periodic_response(system, frequency_ratio=1.1, method=vj.HarmonicBalance())
+        vj.periodic_response(
+            system, frequency_ratio=1.1, settings=vj.PeriodicSettings(method=vj.HarmonicBalance())
+        )
     with pytest.raises(ValueError, match=sentence):
-        vj.continue_response(system, frequency_ratio=(1.0, 1.2))
+        vj.continue_response(system, frequency_ratio=vj.Range(1.0, 1.2))
     with pytest.raises(ValueError, match="StandardLinearSolid"):
         vj.single_contact_response(system, frequency_ratio=[1.1])
     for law in (RUBBER, LAWS["hertz"]):
         with pytest.raises(ValueError, match="ExactContact needs at most 4 stops that are linear"):
-            vj.simulate(beam(law), frequency_ratio=1.1, periods=1, solver=vj.ExactContact())
+            vj.simulate(beam(law), frequency_ratio=1.1, periods=1, stepper=vj.ExactContact())
 
 
 @pytest.mark.parametrize(
@@ -216,7 +222,7 @@ def test_gradients_of_a_history(beam, name):
             frequency_ratio=1.1,
             periods=2,
             samples_per_period=32,
-            solver=solver,
+            stepper=solver,
             gradient=gradient,
         )
         return jnp.sum(history.displacement() ** 2) * 1e6

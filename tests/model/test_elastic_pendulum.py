@@ -73,7 +73,7 @@ def test_energy_is_conserved_without_damping():
         duration=0.2,
         samples=40,
         initial_state=(np.array(case["alpha0"]), np.zeros(LINKS)),
-        solver=diffrax.Dopri8(),
+        stepper=diffrax.Dopri8(),
         tolerance=1e-11,
     )
     equations = free.equations()

@@ -12,8 +12,7 @@ from scipy.integrate import quad
 import vibrojax as vj
 from vibrojax.branches.work import _with_distance
 from vibrojax.model.states import as_state
-from vibrojax.regime.basins import states_of
-from vibrojax.regime.bifurcation import _first_state
+from vibrojax.regime.basins import Starts
 from vibrojax.regime.regimes import start_states
 from vibrojax.steady.periodic_result import compared
 
@@ -197,15 +196,14 @@ def test_all_studies_read_states_alike():
     state = one.state([0.5], [0.2])
     np.testing.assert_allclose(state, [1.0, 0.4])  # in modal coordinates: by the root of the mass
     pair = state[:1], state[1:]
-    equations = one.equations()
     np.testing.assert_array_equal(start_states(one, [state, pair], None, 0), [state, state])
-    np.testing.assert_array_equal(_first_state(one, pair), state[None])
-    places = {"x": np.array([0.5, 1.0]), "speed": np.array([0.2])}
+    places = {"x": [0.5, 1.0], "speed": [0.2, 0.3]}
 
     def start(x, speed):
         return one.state(jnp.stack([x]), jnp.stack([speed]))
 
-    np.testing.assert_allclose(states_of(start, places, "grid", equations), [state, [2.0, 0.4]])
+    made = Starts.of(start, places, None, 0, 0).states(one.equations())
+    np.testing.assert_allclose(made[[0, 2]], [state, [2.0, 0.4]])
     with pytest.raises(ValueError, match=r"starts must be how many .* shape \(starts, 2\); each"):
         start_states(one, [[1.0]], None, 0)
 
@@ -219,7 +217,9 @@ def test_a_motion_goes_on_from_its_last_state():
     on = vj.simulate(one, periods=2, initial_state=half.states[-1], **settings)
     assert float(jnp.max(whole.contact_force)) > 0
     np.testing.assert_allclose(on.states, whole.states[64:], atol=1e-6)
-    orbit = vj.periodic_response(one, frequency=FREQUENCY, period=2, guess=DOUBLE)
+    orbit = vj.periodic_response(
+        one, frequency=FREQUENCY, guess=DOUBLE, settings=vj.PeriodicSettings(period=2)
+    )
     round_trip = vj.simulate(one, periods=2, initial_state=orbit, **settings)
     np.testing.assert_allclose(round_trip.states[-1], orbit.initial_state, atol=1e-6)
     assert float(jnp.linalg.norm(round_trip.states[32] - orbit.initial_state)) > 0.1
@@ -247,7 +247,9 @@ def test_distance_from_a_guess_and_the_period_that_is_least(beam):
 @pytest.fixture(scope="module")
 def double():
     """The stable motion of period 2, from a good guess: without a warning, which is an error."""
-    return vj.periodic_response(oscillator(), frequency=FREQUENCY, period=2, guess=DOUBLE)
+    return vj.periodic_response(
+        oscillator(), frequency=FREQUENCY, guess=DOUBLE, settings=vj.PeriodicSettings(period=2)
+    )
 
 
 @pytest.mark.slow  # to compile
@@ -262,7 +264,9 @@ def test_a_good_guess_is_silent(double):
     # The same motion of the same body in another unit of mass, whose modal coordinates differ.
     heavy = oscillator(4.0)
     guess = heavy.state(displacement=DOUBLE[:1], velocity=DOUBLE[1:])
-    found = vj.periodic_response(heavy, frequency=FREQUENCY, period=2, guess=guess)
+    found = vj.periodic_response(
+        heavy, frequency=FREQUENCY, guess=guess, settings=vj.PeriodicSettings(period=2)
+    )
     assert found.notes == ()
     np.testing.assert_allclose(found.initial_state, 2 * double.initial_state, rtol=1e-6)
 
@@ -276,7 +280,10 @@ def test_a_guess_in_other_coordinates_is_told(double):
             UserWarning, match="From this guess: .* States are in the coordinates"
         ) as said:
             found = vj.periodic_response(
-                heavy, frequency=FREQUENCY, period=2, guess=factor * double.initial_state
+                heavy,
+                frequency=FREQUENCY,
+                guess=factor * double.initial_state,
+                settings=vj.PeriodicSettings(period=2),
             )
         told.append(str(said[0].message))
         assert np.isfinite(found.amplitude_ratio) == (int(found.status) == 0)
@@ -293,7 +300,9 @@ def test_a_motion_of_a_lower_period_is_told(double):
     once = vj.periodic_response(one, frequency=FREQUENCY, guess=[-0.44, 0.81])
     assert (int(once.status), int(once.minimal_period), bool(once.stable)) == (0, 1, False)
     with pytest.warns(UserWarning, match=r"It repeats after 1 drive period\(s\) already"):
-        found = vj.periodic_response(one, frequency=FREQUENCY, period=2, guess=once)
+        found = vj.periodic_response(
+            one, frequency=FREQUENCY, guess=once, settings=vj.PeriodicSettings(period=2)
+        )
     assert (int(found.status), int(found.minimal_period), found.period) == (0, 1, 2)
     assert "it is no motion of period 2" in repr(found)
 
@@ -302,7 +311,11 @@ def test_a_motion_of_a_lower_period_is_told(double):
 def test_in_a_batch_distances_are_numbers_and_nothing_is_warned_of(double):
     one = oscillator()
     solve = jax.jit(
-        jax.vmap(lambda x: vj.periodic_response(one, frequency=FREQUENCY, period=2, guess=x))
+        jax.vmap(
+            lambda x: vj.periodic_response(
+                one, frequency=FREQUENCY, guess=x, settings=vj.PeriodicSettings(period=2)
+            )
+        )
     )
     guesses = jnp.asarray([1.0, 0.1, jnp.nan])[:, None] * double.initial_state
     with warnings.catch_warnings():
@@ -321,7 +334,10 @@ def test_in_a_batch_distances_are_numbers_and_nothing_is_warned_of(double):
 def test_other_methods_say_it_too(double, method):
     def solve(guess, period):
         return vj.periodic_response(
-            oscillator(), frequency=FREQUENCY, period=period, guess=guess, method=method
+            oscillator(),
+            frequency=FREQUENCY,
+            guess=guess,
+            settings=vj.PeriodicSettings(period=period, method=method),
         )
 
     found = solve(double, 2)

@@ -33,21 +33,19 @@ def reached(*args, **kwargs):
 
 
 ENGINES = {
-    "vibrojax.sweep.frequency_sweep": ["sweep_rigs"],
+    "vibrojax.sweep.frequency_sweep": ["compile_ahead"],
     "vibrojax.regime.basins": ["attractors_over"],
     "vibrojax.regime.bifurcation": ["carried_points"],
     "vibrojax.regime.regimes": ["regime_points"],
-    "vibrojax.branches.coexisting": ["settled"],
-    "vibrojax.branches.continue_response": ["BranchWork"],
+    "vibrojax.branches.continue_response": ["follow_branches", "follow_from"],
     "vibrojax.branches.fold_curves": ["continue_response"],
     "vibrojax.steady.single_contact_response": ["evaluate", "_touches"],
-    "vibrojax.history.simulate_each": ["_solve_all"],
     "vibrojax.identification.identify._Fits": ["run"],
     "vibrojax.maps.parameter_map": ["_run", "plan_of"],
-    "vibrojax.history.simulate": ["solve"],
-    "vibrojax.steady.periodic_response": ["_exactly", "_by_balance", "shoot"],
-    "vibrojax.regime.lyapunov": ["_grown"],
-    "vibrojax.branches.folds": ["_fold"],
+    "vibrojax.history.simulate": ["solve", "_solve_all"],
+    "vibrojax.steady.periodic_response": ["is_alone", "with_columns", "shoot"],
+    "vibrojax.regime.lyapunov": ["_exponent"],
+    "vibrojax.branches.folds": ["_search"],
     "vibrojax.explorer.explore": ["Explorer"],
 }
 
@@ -135,10 +133,12 @@ CALLS = {
     "LinearlyImplicit": (vj.LinearlyImplicit, {}),
     "LevenbergMarquardt": (vj.identification.LevenbergMarquardt, {}),
     "Optax": (vj.identification.Optax, dict(optimiser=__import__("optax").adam(0.1))),
-    "SettledSweep": (vj.SettledSweep, {}),
-    "PeriodicPoints": (vj.PeriodicPoints, {}),
-    "ContinuationCurve": (vj.ContinuationCurve, {}),
-    "RegimeSweep": (vj.RegimeSweep, {}),
+    "SweepSettings": (vj.SweepSettings, {}),
+    "PeriodicSettings": (vj.PeriodicSettings, {}),
+    "ContinuationSettings": (vj.ContinuationSettings, {}),
+    "RegimeSettings": (vj.RegimeSettings, {}),
+    "BasinSettings": (vj.BasinSettings, {}),
+    "Range": (vj.Range, dict(low=0.0, high=1.0)),
     "BasinFractions": (
         vj.BasinFractions,
         dict(start=start, displacement=[0.0, 1e-3], velocity=[0.0, 1.0]),
@@ -188,21 +188,21 @@ CALLS = {
             gap=1e-4,
         ),
     ),
-    "coexisting_responses": (
-        vj.coexisting_responses,
-        dict(system=rig, frequency_ratio=1.1, gap=1e-4),
+    "basins of random states": (
+        vj.basins,
+        dict(system=rig, frequency_ratio=1.1, starts=3, gap=1e-4),
     ),
     "continue_response": (
         vj.continue_response,
-        dict(system=rig, frequency_ratio=(0.9, 1.1), gap=1e-4),
+        dict(system=rig, frequency_ratio=vj.Range(0.9, 1.1), gap=1e-4),
     ),
     "fold_curves": (
         vj.fold_curves,
-        dict(system=rig, frequency_ratio=(0.9, 1.1), gap=(1e-4, 2e-4)),
+        dict(system=rig, frequency_ratio=vj.Range(0.9, 1.1), gap=vj.Range(1e-4, 2e-4)),
     ),
-    "explore": (vj.explore, dict(make_system=rig, gap=(1e-4, 2e-4), stiffness=5e3)),
-    "simulate_each": (
-        vj.simulate_each,
+    "explore": (vj.explore, dict(make_system=rig, gap=vj.Range(1e-4, 2e-4), stiffness=5e3)),
+    "simulate over lists": (
+        vj.simulate,
         dict(system=rig, frequency=[20.0, 21.0], periods=2, gap=[1e-4]),
     ),
     "parameter_map": (
@@ -212,10 +212,6 @@ CALLS = {
     "identify": (
         vj.identify,
         dict(make_system=rig, measured=MEASURED, guess={"stiffness": 5e3}, gap=1e-4),
-    ),
-    "identify_each": (
-        vj.identify_each,
-        dict(make_system=rig, repetitions=[MEASURED], guess={"stiffness": 5e3}, gap=1e-4),
     ),
     "check_resolution": (vj.check_resolution, dict(study=reached, system=RIG)),
     "zipped": (vj.zipped, dict(gap=[1.0, 2.0], taper=[0.0, 0.1])),
@@ -329,7 +325,7 @@ LEGAL = {
     "text": words("label store path"),
     "empty text": words("label frame quantity"),
     "class": words("search measures"),
-    "lambda": words("search solver"),
+    "lambda": words("search stepper"),
     "path": words("store path"),
     "waveform": words("waveform"),
     "matrix": words("s"),
@@ -412,12 +408,14 @@ def every(junk=FIRST):
 def add_methods():
     """Add methods of results, which have to be computed."""
     history = vj.simulate(RIG, frequency=20.0, periods=4)
-    histories = vj.simulate_each(rig, frequency=20.0, gap=[1e-4, 2e-4], periods=4)
+    histories = vj.simulate(rig, frequency=20.0, gap=[1e-4, 2e-4], periods=4)
     point = vj.periodic_response(RIG, frequency_ratio=1.1)
     sweep = vj.frequency_sweep(
-        RIG, frequency_ratio=[1.0, 1.1], refine_jumps=None, max_period=2, max_periods=20
+        RIG,
+        frequency_ratio=[1.0, 1.1],
+        settings=vj.SweepSettings(refine_jumps=None, max_period=2, max_periods=20),
     )
-    branch = vj.continue_response(RIG, frequency_ratio=(1.05, 1.1))
+    branch = vj.continue_response(RIG, frequency_ratio=vj.Range(1.05, 1.1))
     pendulum = vj.default_pendulum(num_links=3)
     basins = vj.basins(
         RIG,
@@ -425,17 +423,28 @@ def add_methods():
         frequency_ratio=1.0,
         displacement=[0.0, 1e-3],
         velocity=[0.0, 1.0],
-        periods=24,
+        settings=vj.BasinSettings(periods=24),
     )
     diagram = vj.bifurcation_diagram(
-        RIG, frequency_ratio=[1.0, 1.1], transient=20, periods=20, lyapunov=False, max_period=4
+        RIG,
+        frequency_ratio=[1.0, 1.1],
+        settings=vj.RegimeSettings(
+            transient=20,
+            periods=20,
+            lyapunov=False,
+            max_period=4,
+            samples_per_period=32,
+            spectrum=False,
+        ),
     )
     regimes = vj.regimes(
-        RIG, frequency_ratio=[1.0], transient=20, periods=20, lyapunov=False, max_period=4
+        RIG,
+        frequency_ratio=[1.0],
+        settings=vj.RegimeSettings(transient=20, periods=20, lyapunov=False, max_period=4),
     )
     closed = vj.single_contact_response(RIG, frequency_ratio=[1.0, 1.1])
-    fit = vj.identify(rig, MEASURED, guess={"stiffness": 5e3}, gap=4e-4, starts=1)
-    explorer = vj.explore(rig, gap=(3e-4, 5e-4), stiffness=5500.0)
+    fit = vj.identify(rig, MEASURED, guess={"stiffness": 5e3}, gap=4e-4, searches=1)
+    explorer = vj.explore(rig, gap=vj.Range(3e-4, 5e-4), stiffness=5500.0)
     spectrum, cycles = history.spectrum(), history.cycles()
     methods = {
         "History": (history, "displacement velocity acceleration spectrum cycles poincare peak"),
@@ -501,7 +510,7 @@ def drawn_at_random(examples):
         max_leaves=5,
     )
     held = arrays(float, array_shapes(max_dims=3, min_side=0, max_side=3))
-    functions = words("study system make_system start search solver measures prepared")
+    functions = words("study system make_system start search stepper measures prepared")
 
     @settings(
         max_examples=examples,

@@ -14,7 +14,7 @@ import pytest
 from conftest import public_names
 
 import vibrojax as vj
-from vibrojax.cli import command as cli
+from vibrojax.cli import options as cli
 from vibrojax.io import rig_file_keys
 from vibrojax.results.variables import PARAMETER_UNITS, VARIABLES
 
@@ -167,16 +167,28 @@ def arguments(*functions):
     return {name for f in functions for name in inspect.signature(f).parameters}
 
 
-COMMAND_ONLY = {"rig", "axis", "no_curves", "summary", "output", "picture", "quiet", "curve", "fit"}
+COMMAND_ONLY = {
+    "rig",
+    "axis",
+    "no_curves",
+    "summary",
+    "output",
+    "picture",
+    "quiet",
+    "curve",
+    "fit",
+} | {"clear"}
+
 """Options that name files or spell lists: what Python passes as objects and arguments."""
 
 
 def test_options_of_commands_are_named_as_arguments():
     python = {
-        "sweep": arguments(vj.frequency_sweep),
-        "map": arguments(vj.parameter_map, vj.SettledSweep),
+        "sweep": arguments(vj.frequency_sweep, vj.SweepSettings),
+        "map": arguments(vj.parameter_map, vj.SweepSettings),
         "modes": arguments(vj.modes),
         "fit": arguments(vj.identify, vj.io.read_measured_curve),
+        "cache": set(),
     }
     for command, function in cli.COMMANDS.items():
         assert arguments(function) - COMMAND_ONLY <= python[command], command
@@ -189,12 +201,12 @@ def test_keys_of_rig_files_are_named_as_arguments():
         "stop": arguments(vj.Stop),
         "drive": arguments(vj.BaseMotion, vj.PointForce) | {"kind"},  # which of the two
         "model": arguments(vj.ImpactingBeam),
-        "sweep": arguments(vj.frequency_sweep),
+        "sweep": arguments(vj.frequency_sweep, vj.SweepSettings),
     }
     for table, keys in rig_file_keys.KEYS.items():
         assert set(keys) <= python[table], table
     lists = {"axes"}  # the further keywords of a map
-    known = arguments(vj.parameter_map, vj.SettledSweep) | lists
+    known = arguments(vj.parameter_map, vj.SweepSettings) | lists
     assert set(rig_file_keys.MAP_KEYS) <= known
     for law, keys in rig_file_keys.LAWS.values():
         assert set(keys) <= arguments(law)

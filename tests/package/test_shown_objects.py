@@ -41,10 +41,11 @@ PARTS = {
     "LinearlyImplicit": (vj.LinearlyImplicit(longest_step=1e-4), "longest_step=0.0001 s"),
     "HarmonicBalance": (vj.HarmonicBalance(samples=256), "samples=256"),
     "Shooting": (vj.Shooting(), "steps_per_period=512"),
-    "SettledSweep": (vj.SettledSweep(refine_jumps=None), "refine_jumps=None"),
-    "PeriodicPoints": (vj.PeriodicPoints(), "period=1"),
-    "ContinuationCurve": (vj.ContinuationCurve(), "max_points=2000"),
-    "RegimeSweep": (vj.RegimeSweep(), "transient=200"),
+    "SweepSettings": (vj.SweepSettings(refine_jumps=None), "refine_jumps=None"),
+    "PeriodicSettings": (vj.PeriodicSettings(), "period=1"),
+    "ContinuationSettings": (vj.ContinuationSettings(), "max_points=2000"),
+    "RegimeSettings": (vj.RegimeSettings(), "transient=200"),
+    "BasinSettings": (vj.BasinSettings(), "period_tolerance=0.01"),
     "LinearEquations": (oscillator().equations(), "coordinates: 1", "rad/s"),
     "MatrixModes": (oscillator().modes(), "rad/s"),
     "LevenbergMarquardt": (vj.identification.LevenbergMarquardt(), "most_steps=60"),
@@ -165,7 +166,7 @@ def test_every_result_has_a_picture_and_a_dataset(name):
 
 
 def test_results_are_found():
-    assert len(RESULTS) >= 22
+    assert len(RESULTS) >= 21
 
 
 def made_by_programs():
@@ -177,14 +178,18 @@ def made_by_programs():
     yield history.spectrum()
     yield history.cycles()
     yield history.poincare()
-    yield vj.simulate_each(oscillator, gap=[0.9, 1.0], frequency=frequency, periods=3)
-    yield vj.frequency_sweep(oscillator, gap=[1.0], frequency=[0.14, 0.15], max_periods=60)
+    yield vj.simulate(oscillator, gap=[0.9, 1.0], frequency=frequency, periods=3)
+    yield vj.frequency_sweep(
+        oscillator, gap=[1.0], frequency=[0.14, 0.15], settings=vj.SweepSettings(max_periods=60)
+    )
     yield vj.periodic_response(oscillator(gap=10.0), frequency=frequency)
-    yield vj.continue_response(oscillator(gap=10.0), frequency=(0.1, 0.2))
+    yield vj.continue_response(oscillator(gap=10.0), frequency=vj.Range(0.1, 0.2))
     yield vj.single_contact_response(
         body, frequency=[0.14, 0.15, 0.16], contact_fraction=[0.1, 0.2, 0.3]
     )
-    yield vj.regimes(body, frequency=[0.14, 0.15], transient=20, periods=40)
+    yield vj.regimes(
+        body, frequency=[0.14, 0.15], settings=vj.RegimeSettings(transient=20, periods=40)
+    )
 
 
 @pytest.mark.slow

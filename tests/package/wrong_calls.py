@@ -30,8 +30,18 @@ CALLS = {
     "drive must be a drive (BaseMotion, NoDrive or PointForce), got 0.0002.": lambda: (
         vj.ImpactingBeam(RIG.beam, drive=2e-4)
     ),
-    "max_periods must be a whole number of at least 17": lambda: vj.SettledSweep(max_periods=3),
-    "step_tolerance must be above 0": lambda: vj.RegimeSweep(step_tolerance=-1.0),
+    "max_periods must be a whole number of at least 17": lambda: vj.SweepSettings(max_periods=3),
+    "tolerance must be above 0": lambda: vj.RegimeSettings(tolerance=-1.0),
+    "period_tolerance must be above 0": lambda: vj.BasinSettings(period_tolerance=0.0),
+    "settings must be SweepSettings": lambda: vj.frequency_sweep(RIG, settings="fast", **AT),
+    "Settings of a study go into settings=": lambda: vj.frequency_sweep(
+        RIG, direction="forward", **AT
+    ),
+    "gap is a range, Range(low=0.0001": lambda: vj.frequency_sweep(
+        vj.default_rig, gap=vj.Range(1e-4, 1e-3), **AT
+    ),
+    "is a range without width": lambda: vj.Range(1e-3, 1e-4),
+    "start must be from 0 to 1": lambda: vj.Range(0.0, 1.0, 2.0),
     "num_modes must be a whole number": lambda: vj.ImpactingBeam(RIG.beam, num_modes=5.0),
     "beam must be a Cantilever, got an ImpactingBeam. Give its beam.": lambda: vj.modes(RIG),
     "s must be a number or a list of numbers, got 'tip'.": lambda: vj.modes(RIG.beam).shape("tip"),
@@ -45,11 +55,15 @@ CALLS = {
     "Did you mean 'gap'": lambda: vj.frequency_sweep(vj.default_rig, gaps=[1e-3], **AT),
     "needs a value of 'stiffness'": lambda: vj.frequency_sweep(own_rig, gap=[1e-3], **AT),
     "must return a system, got None": lambda: vj.frequency_sweep(lambda gap: None, gap=1e-3, **AT),
-    "direction must be one of": lambda: vj.frequency_sweep(RIG, direction="up", **AT),
-    "method must be a method (ExactContact, ExponentialSplitting or LinearlyImplicit)": lambda: (
-        vj.frequency_sweep(RIG, method="exact", **AT)
+    "direction must be one of": lambda: vj.frequency_sweep(
+        RIG, **AT, settings=vj.SweepSettings(direction="up")
     ),
-    "tolerance must be a number": lambda: vj.frequency_sweep(RIG, tolerance="low", **AT),
+    "stepper must be a stepper (ExactContact, ExponentialSplitting or LinearlyImplicit)": lambda: (
+        vj.frequency_sweep(RIG, **AT, settings=vj.SweepSettings(stepper="exact"))
+    ),
+    "tolerance must be a number": lambda: vj.frequency_sweep(
+        RIG, **AT, settings=vj.SweepSettings(tolerance="low")
+    ),
     "gap must be at least 0 m": lambda: vj.frequency_sweep(vj.default_rig, gap=[-1e-3], **AT),
     "frequency_ratio must be one number": lambda: vj.periodic_response(
         RIG, frequency_ratio=[1.0, 1.1]
@@ -59,19 +73,19 @@ CALLS = {
     ),
     "Call it first: default_rig(...)": lambda: vj.periodic_response(vj.default_rig, **AT),
     "method must be a Shooting or a HarmonicBalance, got 'shooting'.": lambda: vj.periodic_response(
-        RIG, method="shooting", **AT
+        RIG, **AT, settings=vj.PeriodicSettings(method="shooting")
     ),
-    "Give exactly one range": lambda: vj.continue_response(RIG, frequency_ratio=1.1),
+    "Give exactly one vj.Range": lambda: vj.continue_response(RIG, frequency_ratio=1.1),
     "own_rig needs a value": lambda: vj.continue_response(
-        own_rig, frequency_ratio=(0.8, 1.4), gap=1e-3
+        own_rig, frequency_ratio=vj.Range(0.8, 1.4), gap=1e-3
     ),
-    "solver must be a diffrax solver": lambda: vj.simulate(RIG, periods=3, solver="rk4", **AT),
+    "stepper must be a diffrax solver": lambda: vj.simulate(RIG, periods=3, stepper="rk4", **AT),
     "Call it first: ExactContact(...).": lambda: vj.simulate(
-        RIG, periods=3, solver=vj.ExactContact, **AT
+        RIG, periods=3, stepper=vj.ExactContact, **AT
     ),
     "periods must be a number, got '3'.": lambda: vj.simulate(RIG, periods="3", **AT),
     "periods must be above 0": lambda: vj.simulate(RIG, periods=-3, **AT),
-    "simulate_each": lambda: vj.simulate(RIG, periods=3, frequency_ratio=[1.0, 1.1]),
+    "initial_states must be a list": lambda: vj.simulate(RIG, periods=3, initial_states=[], **AT),
     "give frequency (Hz)": lambda: vj.simulate(RIG, periods=3),
     "give it in the call": lambda: vj.parameter_map(own_rig, gap=[1e-3], **AT),
     "make_system must be a function": lambda: vj.parameter_map(RIG, **AT),
@@ -81,7 +95,7 @@ CALLS = {
     "Did you mean 'stiffness'": lambda: vj.identify(vj.default_rig, MEASURED, {"stifness": 1.0}),
     "Use regimes for many": lambda: vj.lyapunov_exponent(RIG, frequency=[1.0, 2.0]),
     "study must be a function": lambda: vj.check_resolution(3, RIG),
-    "system must be a system": lambda: vj.coexisting_responses(3, **AT),
+    "system must be a system": lambda: vj.basins(3, **AT),
     "mass must be": lambda: vj.MatrixSystem(1.0, 1.0, 1.0, response_map=[1.0]),
     "stiffness must be a number, got None.": lambda: vj.KelvinVoigt(None),
     "amplitude must be a number, got None.": lambda: vj.BaseMotion(None),
@@ -94,9 +108,11 @@ CALLS = {
         vj.BaseMotion(1e-3, 20.0)
     ),
     "tolerance must be a number, got [0.0001]. Give what is in the list.": lambda: (
-        vj.frequency_sweep(RIG, tolerance=[1e-4], **AT)
+        vj.frequency_sweep(RIG, **AT, settings=vj.SweepSettings(tolerance=[1e-4]))
     ),
-    "tolerance must be a number, got None.": lambda: vj.frequency_sweep(RIG, tolerance=None, **AT),
+    "tolerance must be a number, got None.": lambda: vj.frequency_sweep(
+        RIG, **AT, settings=vj.SweepSettings(tolerance=None)
+    ),
     "guess must be a PeriodicResponse": lambda: vj.periodic_response(RIG, guess="x", **AT),
     "LinearisedPendulum or MatrixSystem), got 'x'": lambda: vj.single_contact_response("x", **AT),
     "path must be a path, got None.": lambda: vj.io.read_rig(None),
@@ -119,7 +135,9 @@ CALLS = {
         lambda gap: vj.parameter_map(own_rig, gap=gap, stiffness=1e3, **AT)
     )(1e-3),
     "These studies can: modes, motion, simulate, periodic_response": lambda: jax.vmap(
-        lambda gap: vj.continue_response(vj.default_rig(gap=gap), frequency_ratio=(0.9, 1.1))
+        lambda gap: vj.continue_response(
+            vj.default_rig(gap=gap), frequency_ratio=vj.Range(0.9, 1.1)
+        )
     )(np.array([1e-4, 2e-4])),
     "This study cannot be traced by JAX": lambda: jax.grad(
         lambda gap: vj.frequency_sweep(lambda: vj.default_rig(gap=gap), **AT)
@@ -127,7 +145,7 @@ CALLS = {
     "limiters must be Limiters, got 3.": lambda: vj.ElasticPendulum(
         0.2, 0.01, 1e-3, 3e8, 850.0, limiters=3
     ),
-    "solver must be": lambda: vj.Shooting(solver="Tsit5"),
+    "stepper must be": lambda: vj.Shooting(stepper="Tsit5"),
     "point_masses[0] must be a PointMass, got 0.01.": lambda: vj.Cantilever(
         0.2, 0.025, 1e-3, 130e9, 8250.0, point_masses=[0.01]
     ),

@@ -3,32 +3,24 @@ import sys
 import numpy as np
 import pytest
 
-from vibrojax.identification.fitted_data import Prediction
+from vibrojax.identification.fitted_data import fitted_data
 from vibrojax.identification.identification import Identification
 from vibrojax.identification.profile import Profile
+from vibrojax.identification.trial_rigs import Curve
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.history import MeasuredHistory
-from vibrojax.plot.profiles import plot_profiles
+from vibrojax.plot.identification import plot_profiles
 
 # A curve that leans to the right: up to 1.2, back to 1.1, and on.
 CURVE = np.r_[np.linspace(0.9, 1.2, 31), np.linspace(1.19, 1.1, 10), np.linspace(1.11, 1.3, 20)]
 HEIGHT = np.r_[np.linspace(2.0, 20.0, 31), np.linspace(19.0, 6.0, 10), np.linspace(5.5, 3.0, 20)]
-FOLDS = {"forward": np.array([1.2]), "backward": np.array([1.1])}
 
 
-def prediction(measured, forces=False, unit=1.0, **changed):
-    steps = np.append(np.diff(CURVE), 0.1)
-    continues = np.ones(len(CURVE), bool)
-    continues[-1] = False
-    fields = {
-        "residual": np.linspace(-2.5, 2.5, measured.size),
-        "frequency": CURVE * unit,
-        "channels": np.stack([HEIGHT, HEIGHT / 2], axis=1)[:, : 1 + forces],
-        "unstable": steps < 0,
-        "continues": continues,
-        "folds": {name: unit * at for name, at in FOLDS.items()},
-    }
-    return Prediction(**(fields | changed))
+def prediction(measured, forces=False, unit=1.0, points=61):
+    channels = np.stack([HEIGHT, HEIGHT / 2], axis=1)[:points, : 1 + forces]
+    continues = np.arange(points) < points - 1
+    made = Curve(CURVE[:points] * unit, channels, channels, continues)
+    return fitted_data(measured, np.linspace(-2.5, 2.5, measured.size), made)
 
 
 def curve(**changed):
@@ -59,12 +51,10 @@ def fitted(measured=None, predictions=None, **changed):
         "confidence": 0.95,
         "measured": measured,
         "predictions": predictions or tuple(prediction(m) for m in measured),
-        "influence": (),
         "alternatives": (),
         "warnings": (),
         "notes": (),
         "evaluations": 8,
-        "asked": None,
         "problem": None,
         "repetition": 0,
         "frequency_scale": 1e-3,
@@ -129,7 +119,7 @@ def test_the_curve_is_whole_and_dashed_between_its_folds():
     assert [len(line.get_xdata()) for line in solid] == [31, 21]
     assert back.get_xdata()[0] == pytest.approx(1.2)
     assert back.get_xdata()[-1] == pytest.approx(1.1)
-    folds = [line for line in axes.lines if line.get_marker() == "o"]
+    folds = [k for k in axes.lines if k.get_marker() == "o" and len(k.get_xdata())]
     assert [line.get_xydata()[0].tolist() for line in folds] == [
         [pytest.approx(1.2), 20.0],
         [pytest.approx(1.1), 6.0],
@@ -138,7 +128,7 @@ def test_the_curve_is_whole_and_dashed_between_its_folds():
 
 def test_a_break_is_not_bridged():
     made = prediction(curve())
-    made.continues[20] = False
+    made["curve_continues"][20] = 0
     axes = fitted(predictions=(made,)).plot().axes[0]
     solid = [line for line in lines(axes, "-") if len(line.get_xdata()) > 5]
     assert [len(line.get_xdata()) for line in solid] == [21, 10, 21]
@@ -200,10 +190,7 @@ def test_a_long_sentence_stays_in_the_picture():
 
 
 def test_a_curve_that_was_lost():
-    empty = {"channels": np.zeros((0, 1)), "folds": {}}
-    none = {name: np.zeros(0, bool) for name in ("unstable", "continues")}
-    made = prediction(curve(), frequency=np.zeros(0), **empty, **none)
-    figure = fitted(predictions=(made,)).plot()
+    figure = fitted(predictions=(prediction(curve(), points=0),)).plot()
     assert "fitted" not in legend(figure)
     figure.canvas.draw()
 
@@ -219,7 +206,7 @@ def test_a_history_among_others():
     )
     count = history.windowed().size
     residual = np.r_[np.full(count, 1.0), np.full(count, -1.0)]
-    fit = fitted((curve(), history), (prediction(curve()), Prediction(residual=residual)))
+    fit = fitted((curve(), history), (prediction(curve()), fitted_data(history, residual)))
     figure = fit.plot(1)
     first, second, _ = figure.axes
     assert first.get_title(loc="left") == "measurement 2 of 2"

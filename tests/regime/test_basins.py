@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from splitting_settings import with_settings
 
 import vibrojax as vj
 from vibrojax.regime.basins_result import boundary_share, standard_error, wilson_interval
@@ -81,7 +82,7 @@ def test_two_basins_are_those_of_plain_integration(bistable):
 
 
 def test_a_barrier_that_is_not_crossed():
-    found = vj.basins(make(), frequency=BISTABLE, barrier=5.0, **PLANE)
+    found = vj.basins(make(), frequency=BISTABLE, **PLANE, settings=vj.BasinSettings(barrier=5.0))
     assert not found.cross_well.any()
 
 
@@ -89,7 +90,9 @@ def test_phases_of_one_orbit_are_one_attractor_or_several(bistable):
     one = vj.basins(make(), frequency=THREEFOLD, **PLANE)
     np.testing.assert_array_equal(one.period, [3])
     assert one.share[0] == 1.0
-    three = vj.basins(make(), frequency=THREEFOLD, distinguish_phases=True, **PLANE)
+    three = vj.basins(
+        make(), frequency=THREEFOLD, **PLANE, settings=vj.BasinSettings(distinguish_phases=True)
+    )
     np.testing.assert_array_equal(three.period, [3, 3, 3])
     assert three.share.sum() == pytest.approx(1.0)
     # A start one drive period further on its way is of the next phase.
@@ -111,8 +114,8 @@ def test_phases_of_one_orbit_are_one_attractor_or_several(bistable):
         start=chosen,
         number=np.arange(8.0),
         nothing=np.arange(15.0),
-        distinguish_phases=True,
         progress=False,
+        settings=vj.BasinSettings(distinguish_phases=True),
     ).attractor[:, 0]
     assert (listed[:4] != listed[4:]).all()
     turn = {int(a): int(b) for a, b in zip(listed[:4], listed[4:], strict=True)}
@@ -120,7 +123,7 @@ def test_phases_of_one_orbit_are_one_attractor_or_several(bistable):
 
 
 def test_motions_without_a_period_are_one_class():
-    found = vj.basins(make(), frequency=CHAOTIC, transient=60, **PLANE)
+    found = vj.basins(make(), frequency=CHAOTIC, **PLANE, settings=vj.BasinSettings(transient=60))
     np.testing.assert_array_equal(found.period, [0])
     assert found.periodic_share == 0.0
     assert found.cross_well.all()
@@ -128,7 +131,7 @@ def test_motions_without_a_period_are_one_class():
     assert "no period" in repr(found)
 
 
-def test_results_do_not_hang_on_neighbours_or_order(bistable):
+def test_results_do_not_depend_on_neighbours_or_order(bistable):
     few = {"start": start, "x": X[3:9], "speed": SPEED[2:8], "progress": False}
     found = vj.basins(make(), frequency=BISTABLE, **few)
     part = bistable.attractor[3:9, 2:8]
@@ -153,15 +156,20 @@ def test_new_numbers_do_not_compile_again(bistable):
         lambda event, *_, **__: compiled.append(event) if "backend_compile" in event else None
     )
     try:
-        vj.basins(make(), frequency=1.01 * BISTABLE, tolerance=0.012, **PLANE)
+        vj.basins(
+            make(),
+            frequency=1.01 * BISTABLE,
+            **PLANE,
+            settings=vj.BasinSettings(period_tolerance=0.012),
+        )
     finally:
         jax.monitoring.clear_event_listeners()
     assert not compiled
 
 
 def test_random_starts_and_axes():
-    box = {"start": start, "x": [-2.0, 1.0], "speed": [-2.0, 2.0], "progress": False}
-    settings = {"starts": "random", "samples": 60, "seed": 3}
+    box = {"start": start, "x": vj.Range(-2, 1), "speed": vj.Range(-2, 2), "progress": False}
+    settings = {"starts": 60, "seed": 3}
     found = vj.basins(make, frequency=[BISTABLE, 0.4], gap=[1.0], **settings, **box)
     assert found.attractor.shape == (1, 2, 60)
     assert found.share.shape == (1, 2, 2)
@@ -223,9 +231,9 @@ def test_dataset_file_and_picture(bistable, tmp_path):
         ({"start": lambda x, speed: ([np.inf * x], [speed])}, "finite numbers"),
         ({"x": [1.0, 0.0]}, "x must be a list of at least two increasing"),
         ({"gab": 1.0}, "Unknown argument 'gab'"),
-        ({"starts": "all"}, "starts must be one of"),
+        ({"starts": 7}, "starts = 7 is for random ones: give x and speed as vj.Range"),
         ({"periods": 10}, "periods must be a whole number of at least 24"),
-        ({"tolerance": 0.0}, "tolerance must be above 0"),
+        ({"period_tolerance": 0.0}, "period_tolerance must be above 0"),
         ({"frequency_ratio": 1.0}, "frequency_ratio or frequency"),
         ({"units": {"y": "m"}}, "units are of the numbers of start"),
     ],
@@ -233,11 +241,11 @@ def test_dataset_file_and_picture(bistable, tmp_path):
 def test_refusals(arguments, sentence):
     settings = {"frequency": BISTABLE, **PLANE} | arguments
     with pytest.raises(ValueError, match=sentence):
-        vj.basins(make(), **settings)
+        vj.basins(make(), **with_settings(vj.BasinSettings, settings))
 
 
 def test_a_map_of_basin_fractions(bistable):
-    response = vj.BasinFractions(start, starts="grid", x=tuple(X), speed=tuple(SPEED))
+    response = vj.BasinFractions(start, x=X, speed=SPEED)
     found = vj.parameter_map(
         make, frequency=[BISTABLE, 0.4], gap=[1.0, 3.0], response=response, progress=False
     )
@@ -249,10 +257,46 @@ def test_a_map_of_basin_fractions(bistable):
     np.testing.assert_array_equal(found["periodic_share"], 1.0)
     np.testing.assert_array_equal(found["most_attractors"], [2, 1])
     assert "periodic" in found["lane_status"].attrs["flag_meanings"]
-    # What a store knows a response by does not hang on where Python keeps the function.
+    # What a store knows a response by does not depend on where Python keeps the function.
     assert "0x" not in repr(response)
     assert repr(response) != repr(
-        vj.BasinFractions(lambda x, speed: ([-x], [speed]), x=(0.0, 1.0), speed=(0.0, 1.0))
+        vj.BasinFractions(
+            lambda x, speed: ([-x], [speed]), x=vj.Range(0.0, 1.0), speed=vj.Range(0.0, 1.0)
+        )
     )
     with pytest.raises(ValueError, match="Unknown argument 'angle'"):
-        vj.BasinFractions(start, angle=(0.0, 1.0), x=(0.0, 1.0), speed=(0.0, 1.0))
+        vj.BasinFractions(
+            start, angle=vj.Range(0.0, 1.0), x=vj.Range(0.0, 1.0), speed=vj.Range(0.0, 1.0)
+        )
+
+
+# Coexisting motions of a beam: random states, and their branches
+
+
+def test_states_are_counted_or_given(rig):
+    with pytest.raises(ValueError, match="starts must be"):
+        vj.basins(rig(), frequency_ratio=1.1, starts=0)
+    with pytest.raises(ValueError, match="start_size must be"):
+        vj.basins(rig(), frequency_ratio=1.1, start_size=-1.0)
+    with pytest.raises(ValueError, match="Unknown argument"):
+        vj.basins(rig(), frequency_ratio=1.1, gap=1e-3)
+
+
+@pytest.mark.slow
+def test_both_motions_of_the_hysteresis_are_found_and_lie_on_one_branch(rig, small_branch):
+    found = vj.basins(rig(num_modes=1), frequency_ratio=1.15, starts=24)
+    here = small_branch.resample([1.15])
+    stable = np.asarray(here.amplitude_ratio)[np.asarray(here.stable) == 1]
+    assert found.period.tolist() == [1, 1]
+    np.testing.assert_allclose(sorted(found.amplitude_ratio), sorted(stable), rtol=1e-4)
+    assert found.start_states.shape == (24, 2)
+    again = vj.basins(rig(num_modes=1), frequency_ratio=1.15, starts=24)
+    np.testing.assert_array_equal(again.attractor, found.attractor)
+    (branch,) = found.branches(vj.Range(0.85, 1.4))  # the second motion lies on that of the first
+    np.testing.assert_allclose(sorted(branch.folds), sorted(small_branch.folds), atol=1e-6)
+    history = found.history(2)
+    np.testing.assert_allclose(history.states[-1], found.initial_state[1], atol=1e-8)
+    assert found.to_xarray()["start_state"].dims == ("start", "state")
+    assert len(found.plot_orbits().axes[0].lines) == 4
+    with pytest.raises(ValueError, match="not two numbers"):
+        found.plot()

@@ -2,21 +2,20 @@
 
 import numpy as np
 import pytest
+from splitting_settings import with_settings
 from unit_oscillator import oscillator
 
 import vibrojax as vj
 from vibrojax.ensemble.lanes import lanes_of
 from vibrojax.regime.bifurcation import _lanes_along
-from vibrojax.regime.bifurcation_result import PeriodChange
+from vibrojax.regime.table import PeriodChange
 
 UNIT = 2 * np.pi
-SETTINGS = {
-    "transient": 150,
-    "periods": 120,
-    "max_period": 8,
-    "samples_per_period": 16,
-    "progress": False,
-}
+PERIODS = 120
+MARCHED = vj.RegimeSettings(
+    transient=150, periods=PERIODS, max_period=8, samples_per_period=16, spectrum=False
+)
+SETTINGS = {"settings": MARCHED, "progress": False}
 W = np.array([0.87, 0.89, 0.915, 0.925, 0.9275, 0.9295, 0.94])
 
 
@@ -36,7 +35,7 @@ def test_period_doubling_is_bracketed_in_both_directions(diagram):
 
 def test_directions_differ_where_motions_coexist(diagram):
     assert diagram.dims == ("gap", "direction", "frequency")
-    assert diagram["displacement"].shape == (2, 2, len(W), SETTINGS["periods"])
+    assert diagram["displacement"].shape == (2, 2, len(W), PERIODS)
     period, regime = diagram.period[0], diagram.regime[0]
     assert period[0, :2].tolist() == [3, 3]
     assert regime[1, 1] == vj.Regime.chaotic.value  # the chaos that comes down from above
@@ -100,9 +99,9 @@ def test_dataset_and_picture(diagram):
         ({"frequency": 0.2, "gap": [1.0, 1.1], "damping": [0.1, 0.2]}, "say which the motion"),
         ({"frequency": 0.2, "direction": "up"}, "direction must be one of"),
         ({"frequency": 0.2, "start": [0.0]}, r"start must be .* of shape \(2,\), got"),
-        ({"frequency": 0.2, "periods": 10}, "periods must be a whole number of at least 32"),
+        ({"frequency": 0.2, "periods": 10}, "periods must be a whole number of at least 40"),
     ],
 )
 def test_wrong_input_is_refused(settings, message):
     with pytest.raises(ValueError, match=message):
-        vj.bifurcation_diagram(oscillator, **settings)
+        vj.bifurcation_diagram(oscillator, **with_settings(vj.RegimeSettings, settings))

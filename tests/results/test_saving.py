@@ -20,7 +20,7 @@ def classes_that_save():
     found = {}
     for module in pkgutil.walk_packages(vibrojax.__path__, "vibrojax."):
         members = inspect.getmembers(importlib.import_module(module.name), inspect.isclass)
-        found |= {name: one for name, one in members if "save" in vars(one)}
+        found |= {name: one for name, one in members if hasattr(one, "save")}
     return found
 
 

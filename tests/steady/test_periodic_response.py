@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray
 from scipy.integrate import solve_ivp
+from splitting_settings import with_settings
 
 import vibrojax as vj
 
@@ -243,7 +244,9 @@ def by_method(rig, method, tolerance):
     def outputs(scale):
         one = rig(gap=0.4e-3 * scale[0], stiffness=5500.0 * scale[1])
         found = vj.periodic_response(
-            one, frequency_ratio=1.12 * scale[2], method=method, tolerance=tolerance
+            one,
+            frequency_ratio=1.12 * scale[2],
+            settings=vj.PeriodicSettings(method=method, tolerance=tolerance),
         )
         return jnp.stack([found.amplitude_ratio, found.contact_force]), found
 
@@ -323,7 +326,9 @@ def test_period_doubling():
     assert {names[w] for w in (0.9275, 0.915, 0.9, 0.88)} == {"period doubling"}
     assert "past a period doubling" in found.sentence
     assert found.ratio_units == "m/N"
-    double = vj.periodic_response(one, frequency=0.9275 / UNIT, period=2)
+    double = vj.periodic_response(
+        one, frequency=0.9275 / UNIT, settings=vj.PeriodicSettings(period=2)
+    )
     assert double.period == 2
     assert double.stable
     assert double.contacts_per_period == 1
@@ -381,13 +386,15 @@ def test_without_contact_or_stops_it_is_the_linear_response(rig):
 )
 def test_wrong_arguments_are_refused(rig, arguments, sentence):
     with pytest.raises(ValueError, match=sentence):
-        vj.periodic_response(rig(), **arguments)
+        vj.periodic_response(rig(), **with_settings(vj.PeriodicSettings, arguments))
 
 
 def test_balance_needs_a_stop(rig):
     one = replace(rig(), stops=())
     with pytest.raises(ValueError, match=r"^HarmonicBalance\(\) needs a stop"):
-        vj.periodic_response(one, frequency_ratio=1.0, method=vj.HarmonicBalance())
+        vj.periodic_response(
+            one, frequency_ratio=1.0, settings=vj.PeriodicSettings(method=vj.HarmonicBalance())
+        )
 
 
 class PendulumEquations(vj.model.AbstractEquations):
@@ -429,7 +436,9 @@ class Pendulum(vj.model.AbstractSystem):
 def test_systems_that_are_not_linear_are_shot():
     one = Pendulum(vj.PointForce(1.0))
     with pytest.raises(ValueError, match=r"^Pendulum is not linear but for its stops, which harm"):
-        vj.periodic_response(one, frequency=0.1, method=vj.HarmonicBalance())
+        vj.periodic_response(
+            one, frequency=0.1, settings=vj.PeriodicSettings(method=vj.HarmonicBalance())
+        )
     with pytest.raises(ValueError, match=r"^This system has no natural frequency: give frequency"):
         vj.periodic_response(one, frequency_ratio=0.9)
     found = vj.periodic_response(one, frequency=0.8 / UNIT)
@@ -468,7 +477,7 @@ def test_balance_refuses(settings, sentence):
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"solver": "Tsit5"}, r"^solver must be a diffrax solver .*got 'Tsit5'"),
+        ({"stepper": "Tsit5"}, r"^stepper must be a diffrax solver .*got 'Tsit5'"),
         ({"steps_per_period": 8}, r"^steps_per_period must be a whole number of at least 16"),
         ({"max_steps": 0}, r"^max_steps must be"),
     ],

@@ -1,7 +1,6 @@
 import json
 from pathlib import Path
 
-import equinox as eqx
 import exact_propagation
 import jax
 import jax.numpy as jnp
@@ -9,18 +8,26 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.steady.settling import settle
+from vibrojax.steady.lane_pool import settle
 
 GRADIENTS = json.loads((Path(__file__).parents[1] / "data" / "gradients.json").read_text())
 
 
-@eqx.filter_jit
-def compiled(march, state, frequency, max_periods):
-    return settle(march, state, frequency, tolerance=1e-8, max_period=8, max_periods=max_periods)
-
-
 def settled(march, state, frequency, max_periods=600):
-    return compiled(march, state, frequency, jnp.asarray(max_periods))
+    return settle(
+        march,
+        np.asarray(state),
+        np.asarray(frequency),
+        tolerance=1e-8,
+        max_period=8,
+        max_periods=max_periods,
+    )
+
+
+def lanes_of(one, count):
+    """The march of one rig, for so many lanes."""
+    march = vj.ExactContact(1e-8 if count > 1 else 1e-6).prepare(one.equations(), one.drive)
+    return jax.tree.map(lambda a: jnp.repeat(jnp.asarray(a)[..., None], count, axis=-1), march)
 
 
 PERIODS = {1.2: 1, 0.94: 1, 0.9275: 2, 0.926: 4, 0.924: 8, 0.87: 3, 0.91: 0}
@@ -57,14 +64,14 @@ def soft_impact():
 
 @pytest.fixture(scope="module")
 def march(soft_impact):
-    return vj.ExactContact(1e-8).prepare(soft_impact.equations(), soft_impact.drive)
+    return lanes_of(soft_impact, LANES)
 
 
 @pytest.fixture(scope="module")
 def answer(march):
     """Motions of the periods below; the doubling starts at 0.9285 and ends in chaos."""
-    frequency = jnp.array(list(PERIODS))
-    return frequency, settled(march, jnp.zeros((2, len(PERIODS))), frequency)
+    frequency = np.array(list(PERIODS))
+    return frequency, settled(march, np.zeros((LANES, 2)), frequency)
 
 
 def oscillator_problem():
@@ -100,7 +107,7 @@ def test_steady_states_are_those_of_a_long_march(answer):
             assert found.status[lane] == vj.Status.aperiodic.value
             continue
         assert found.status[lane] == vj.Status.settled.value
-        nearest = np.abs(strobes[-8:] - np.asarray(found.state[:, lane])).max(axis=1).min()
+        nearest = np.abs(strobes[-8:] - np.asarray(found.state[lane])).max(axis=1).min()
         assert nearest < 1e-6
         returned = np.abs(strobes[-1] - strobes[-1 - np.arange(1, 9)]).max(axis=1)
         assert 1 + np.flatnonzero(returned < 1e-6)[0] == period
@@ -109,7 +116,7 @@ def test_steady_states_are_those_of_a_long_march(answer):
 def test_found_orbits_close_on_themselves(answer):
     frequency, found = answer
     for lane, drive in enumerate(np.asarray(frequency)):
-        start, period = np.asarray(found.state[:, lane]), int(found.period[lane])
+        start, period = np.asarray(found.state[lane]), int(found.period[lane])
         if not period:
             continue
         strobes = by_oracle(drive, start, period)
@@ -130,7 +137,7 @@ def test_cost_is_counted(answer):
 
 def test_not_settled_is_flagged(march, answer):
     frequency, _ = answer
-    found = settled(march, jnp.zeros((2, LANES)), frequency, 18)
+    found = settled(march, np.zeros((LANES, 2)), frequency, 18)
     late = found.status == vj.Status.aperiodic.value
     assert late.any()
     assert (found.period[late] == 0).all()
@@ -140,13 +147,15 @@ def test_not_settled_is_flagged(march, answer):
 
 def test_lost_lane_is_flagged_and_starts_again_from_rest(march, answer):
     frequency, clean = answer
-    found = settled(march, jnp.zeros((2, LANES)).at[0, 1].set(jnp.nan), frequency)
+    state = np.zeros((LANES, 2))
+    state[1, 0] = np.nan
+    found = settled(march, state, frequency)
     assert found.status[1] == vj.Status.diverged.value
     assert found.period[1] == 0
-    assert (found.state[:, 1] == 0).all()
+    assert (found.state[1] == 0).all()
     others = np.array([i for i in range(LANES) if i != 1])
     np.testing.assert_array_equal(found.status[others], clean.status[others])
-    np.testing.assert_array_equal(found.state[:, others], clean.state[:, others])
+    np.testing.assert_array_equal(found.state[others], clean.state[others])
 
 
 def test_starting_on_the_orbit_stays_there(march, answer):
@@ -193,7 +202,9 @@ def test_period_doubling_where_it_is_known(response):
 
 def test_highest_point_of_the_upper_branch(soft_impact):
     grid = np.linspace(1.15, 1.448, 41) / (2 * np.pi)
-    top = vj.frequency_sweep(soft_impact, frequency=grid, refine_jumps=None)
+    top = vj.frequency_sweep(
+        soft_impact, frequency=grid, settings=vj.SweepSettings(refine_jumps=None)
+    )
     assert top.peak_ratio[0, -1] * 0.3 > 1.0
     highest = top.peak_ratio[0] * 0.3
     deepest = top.contact_force[0] / 50 + 1
@@ -206,14 +217,14 @@ def test_other_attractor_beside_the_listed_one(rig, problem):
     """From the motion at 0.90, rig P_MR0.5_mu0.5 at 0.91 settles on a period-7 motion."""
     one = rig(formulation="as_printed")
     equations, oracle = one.equations(), problem(one)
-    march = vj.ExactContact(1e-6).prepare(equations, one.drive)
-    w = equations.angular_frequency[:1]
-    below = settled(march, jnp.zeros((10, 1)), 0.90 * w)
+    march = lanes_of(one, 1)
+    w = np.asarray(equations.angular_frequency[:1])
+    below = settled(march, np.zeros((1, 10)), 0.90 * w)
     found = settled(march, below.state, 0.91 * w)
     assert int(found.period[0]) == 7
     drive = 0.91 * float(w[0])
     period = 2 * np.pi / drive
-    start, size = np.asarray(found.state[:, 0]), np.asarray(march.energy_weight())
+    start, size = np.asarray(found.state[0]), np.asarray(march.energy_weight())[:, 0]
     times = period * np.arange(1, 8)
     strobes, _ = exact_propagation.propagate(oracle, drive, start, 0.0, times[-1], times)
     returned = np.linalg.norm((strobes - start) * size, axis=1) / np.linalg.norm(start * size)
@@ -221,7 +232,7 @@ def test_other_attractor_beside_the_listed_one(rig, problem):
     assert (returned[:-1] > 1e-3).all()
     times = period * np.arange(1, 401)
     long, _ = exact_propagation.propagate(
-        oracle, drive, np.asarray(below.state[:, 0]), 0.0, times[-1], times
+        oracle, drive, np.asarray(below.state[0]), 0.0, times[-1], times
     )
     nearest = np.linalg.norm((long[-7:] - start) * size, axis=1) / np.linalg.norm(start * size)
     assert nearest.min() < 1e-3

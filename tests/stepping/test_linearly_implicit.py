@@ -27,7 +27,7 @@ def test_impact_trajectory():
         duration=case["t"][-1],
         samples=len(case["t"]),
         initial_state=(np.full(LINKS, case["alpha0"]), np.zeros(LINKS)),
-        solver=vj.LinearlyImplicit(longest_step=1e-4),
+        stepper=vj.LinearlyImplicit(longest_step=1e-4),
     )
     np.testing.assert_allclose(history.coordinates[1:, 0], case["alpha1"], atol=2e-4)
     np.testing.assert_allclose(history.coordinates[1:, -1], case["alphaN"], atol=2e-4)
@@ -43,7 +43,7 @@ def test_orbit_of_period_3_closes():
         periods=3,
         samples_per_period=20,
         initial_state=(np.array(orbit["alpha_start"]), np.array(orbit["omega_start"])),
-        solver=vj.LinearlyImplicit(longest_step=1e-4),
+        stepper=vj.LinearlyImplicit(longest_step=1e-4),
     )
     bearing = history.coordinates[:, 0]
     np.testing.assert_allclose(history.coordinates[-1], orbit["alpha_start"], atol=1e-4)
@@ -107,11 +107,11 @@ def test_single_mass_converges_to_the_exact_motion(damping):
     system = oscillator(damping)
     kept = {"frequency": 1.1 / (2 * np.pi), "periods": 4, "samples_per_period": 16}
     start = {"initial_state": (np.array([1.3]), np.array([0.2]))}
-    exact = vj.simulate(system, **kept, **start, solver=vj.ExactContact(1e-8))
+    exact = vj.simulate(system, **kept, **start, stepper=vj.ExactContact(1e-8))
 
     def error(steps):
         method = vj.LinearlyImplicit(steps_per_period=steps)
-        found = vj.simulate(system, **kept, **start, solver=method)
+        found = vj.simulate(system, **kept, **start, stepper=method)
         return np.max(np.abs(found.displacement() - exact.displacement()))
 
     coarse, fine = error(512), error(2048)
@@ -124,9 +124,9 @@ def test_other_laws_agree_with_kvaerno5():
     system = oscillator(0.0, law=vj.HuntCrossley(200.0, 0.3))
     settings = {"frequency": 1.1 / (2 * np.pi), "periods": 2, "samples_per_period": 16}
     start = {"initial_state": (np.array([1.3]), np.array([0.2]))}
-    expected = vj.simulate(system, **settings, **start, solver=diffrax.Kvaerno5(), tolerance=1e-9)
+    expected = vj.simulate(system, **settings, **start, stepper=diffrax.Kvaerno5(), tolerance=1e-9)
     method = vj.LinearlyImplicit(steps_per_period=4000)
-    found = vj.simulate(system, **settings, **start, solver=method)
+    found = vj.simulate(system, **settings, **start, stepper=method)
     np.testing.assert_allclose(found.displacement(), expected.displacement(), atol=2e-4)
 
 
@@ -136,8 +136,10 @@ def test_pendulum_agrees_with_kvaerno5():
     settings = {"frequency": 5.7, "duration": 0.25, "samples": 25}
     start = {"initial_state": (np.full(4, 0.05), np.zeros(4))}
     method = vj.LinearlyImplicit(longest_step=2e-5)
-    found = vj.simulate(pendulum, **settings, **start, solver=method)
-    expected = vj.simulate(pendulum, **settings, **start, solver=diffrax.Kvaerno5(), tolerance=1e-8)
+    found = vj.simulate(pendulum, **settings, **start, stepper=method)
+    expected = vj.simulate(
+        pendulum, **settings, **start, stepper=diffrax.Kvaerno5(), tolerance=1e-8
+    )
     assert np.max(expected.contact_force) > 0.1
     np.testing.assert_allclose(found.coordinates, expected.coordinates, atol=1e-4)
 
@@ -160,7 +162,7 @@ def test_march_is_the_history_and_lanes_do_not_matter():
         periods=2,
         samples=300,
         initial_state=(state[:3, 1], state[3:, 1]),
-        solver=method,
+        stepper=method,
     )
     np.testing.assert_allclose(one[:3], history.coordinates[-1], rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(own.highest, np.max(history.displacement()), rtol=1e-3)
@@ -212,7 +214,7 @@ def last_tip(numbers, gradient="reverse"):
         duration=1.0,
         samples=20,
         initial_state=(pendulum.modal_coordinates(jnp.full(LINKS, 0.05)), jnp.zeros(6)),
-        solver=vj.LinearlyImplicit(longest_step=1e-4),
+        stepper=vj.LinearlyImplicit(longest_step=1e-4),
         gradient=gradient,
     )
     return 1e3 * history.displacement()[-1]
@@ -241,7 +243,7 @@ def test_gradients_of_a_window_nest_with_vmap():
             duration=0.3,
             samples=6,
             initial_state=(jnp.full(3, 0.05), jnp.zeros(3)),
-            solver=vj.LinearlyImplicit(longest_step=2e-4),
+            stepper=vj.LinearlyImplicit(longest_step=2e-4),
             gradient=gradient,
         )
         return 1e3 * history.displacement()[-1]
@@ -274,18 +276,22 @@ def test_settings_that_cannot_work_are_refused(settings, words):
 def test_steps_too_long_for_the_damping_are_refused():
     run = {"frequency": 5.7, "periods": 1}
     with pytest.raises(ValueError, match=r"longest_step makes steps of 0.002 s, .* at most 0.0004"):
-        vj.simulate(PENDULUM, **run, solver=vj.LinearlyImplicit(longest_step=2e-3))
+        vj.simulate(PENDULUM, **run, stepper=vj.LinearlyImplicit(longest_step=2e-3))
     with pytest.raises(ValueError, match=r"steps_per_period makes steps of .* for this damping"):
-        vj.simulate(PENDULUM, **run, solver=vj.LinearlyImplicit(steps_per_period=64))
+        vj.simulate(PENDULUM, **run, stepper=vj.LinearlyImplicit(steps_per_period=64))
     with pytest.raises(ValueError, match="longest_step makes steps"):
         vj.frequency_sweep(
-            PENDULUM, frequency=[5.0, 6.0], method=vj.LinearlyImplicit(longest_step=2e-3)
+            PENDULUM,
+            frequency=[5.0, 6.0],
+            settings=vj.SweepSettings(stepper=vj.LinearlyImplicit(longest_step=2e-3)),
         )
     coarse = vj.LinearlyImplicit(steps_per_period=64)
     with pytest.raises(ValueError, match=r"steps_per_period makes steps"):
-        vj.frequency_sweep(PENDULUM, frequency=[5.0, 6.0], method=coarse)
+        vj.frequency_sweep(
+            PENDULUM, frequency=[5.0, 6.0], settings=vj.SweepSettings(stepper=coarse)
+        )
     with pytest.raises(ValueError, match=r"steps_per_period makes steps"):
-        vj.regimes(PENDULUM, frequency=[5.0, 6.0], method=coarse)
+        vj.regimes(PENDULUM, frequency=[5.0, 6.0], settings=vj.RegimeSettings(stepper=coarse))
     # By itself the method takes as many steps as the damping asks for.
     stiff = replace(PENDULUM, joint_damping=PENDULUM.joint_damping * 100)
     assert vj.LinearlyImplicit(1e-3).steps(vj.motion(stiff, frequency=5.7)) > 20_000
@@ -294,7 +300,7 @@ def test_steps_too_long_for_the_damping_are_refused():
 def test_stops_with_memory_are_refused():
     system = oscillator(0.0, law=vj.StandardLinearSolid(50.0, 20.0, 1.0))
     with pytest.raises(ValueError, match="LinearlyImplicit takes contact laws without an internal"):
-        vj.simulate(system, frequency=0.2, periods=1, solver=vj.LinearlyImplicit())
+        vj.simulate(system, frequency=0.2, periods=1, stepper=vj.LinearlyImplicit())
 
 
 @pytest.mark.slow
@@ -304,14 +310,15 @@ def test_derivative_of_a_locked_orbit_and_none_of_a_chaotic_motion():
         pendulum = vj.default_pendulum(base_amplitude=amplitude, num_links=4, limiter_height=0.045)
         return pendulum.linearised(2)
 
-    response = vj.RegimeSweep(
+    response = vj.RegimeSettings(
         transient=180,
         periods=42,
         lyapunov=True,
         direction="forward",
         samples_per_period=16,
         max_period=6,
-        method=vj.LinearlyImplicit(steps_per_period=400),
+        stepper=vj.LinearlyImplicit(steps_per_period=400),
+        spectrum=False,
     )
 
     def mapped(amplitude, **more):

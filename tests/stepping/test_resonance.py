@@ -113,7 +113,9 @@ def test_only_undamped_driven_modes_that_no_stop_holds_grow_without_bound():
 def test_a_sweep_says_what_grows_without_bound_and_does_not_march_it():
     with pytest.warns(UserWarning, match=r"^frequency_ratio = 1: An undamped mode is driven"):
         curve = vj.frequency_sweep(
-            oscillator(stops=False), frequency_ratio=[0.53, 1.0, 1.47], max_periods=40
+            oscillator(stops=False),
+            frequency_ratio=[0.53, 1.0, 1.47],
+            settings=vj.SweepSettings(max_periods=40),
         )
     status = np.asarray(curve.status)
     assert (status[:, 1] == vj.Status.unbounded.value).all()
@@ -132,13 +134,17 @@ def test_a_sweep_says_what_grows_without_bound_and_does_not_march_it():
 def test_with_a_stop_the_motion_is_computed():
     ratios = [0.95, 1.0, 1.0 + 1e-12, 1.05]
     lossy = oscillator(dashpot=1.0)
-    curve = vj.frequency_sweep(lossy, frequency_ratio=ratios, direction="forward")
+    curve = vj.frequency_sweep(
+        lossy, frequency_ratio=ratios, settings=vj.SweepSettings(direction="forward")
+    )
     assert (np.asarray(curve.status) == vj.Status.settled.value).all()
     amplitude = np.asarray(curve.amplitude_ratio)[0]
     assert amplitude[1] == pytest.approx(amplitude[2], rel=1e-9)
     # Without any loss it does not settle, but it stays finite.
     curve = vj.frequency_sweep(
-        oscillator(), frequency_ratio=ratios, direction="forward", max_periods=40
+        oscillator(),
+        frequency_ratio=ratios,
+        settings=vj.SweepSettings(direction="forward", max_periods=40),
     )
     assert not (np.asarray(curve.status) == vj.Status.diverged.value).any()
     assert np.isfinite(curve.amplitude_ratio).all()
@@ -152,13 +158,13 @@ def test_with_a_stop_the_motion_is_computed():
 def test_histories_at_resonance_match_an_adaptive_solver(ratio, solver):
     system = oscillator(dashpot=0.2)
     history = vj.simulate(
-        system, frequency_ratio=ratio, periods=6, samples_per_period=32, solver=solver
+        system, frequency_ratio=ratio, periods=6, samples_per_period=32, stepper=solver
     )
     expected = marched(ratio, np.asarray(history.time), dashpot=0.2)
     bound = 1e-7 if solver is None else 2e-3  # the corner is rounded
     np.testing.assert_allclose(history.displacement(), expected, atol=bound * np.ptp(expected))
     free = replace(system, stops=(), stop_map=None)
-    run = vj.simulate(free, frequency_ratio=1.0, periods=3, samples_per_period=32, solver=solver)
+    run = vj.simulate(free, frequency_ratio=1.0, periods=3, samples_per_period=32, stepper=solver)
     time = np.asarray(run.time)
     growing = 0.15 * (np.sin(time) - time * np.cos(time))
     np.testing.assert_allclose(run.displacement(), growing, atol=1e-12)
@@ -224,7 +230,7 @@ def test_branches_pass_begin_and_end_at_resonance():
     system = oscillator(dashpot=1.0)
     found = []
     for span in ((0.7, 1.1), (1.0, 1.1), (0.7, 1.0)):
-        branch = vj.continue_response(system, frequency_ratio=span)
+        branch = vj.continue_response(system, frequency_ratio=vj.Range(*span))
         assert branch.completed
         assert (branch.values[0], branch.values[-1]) == span
         assert branch.exact_points.all()
@@ -244,7 +250,7 @@ def test_maps_and_regimes_flag_what_grows_without_bound():
         free,
         frequency_ratio=[0.53, 1.0],
         force=[0.3, 0.4],
-        response=vj.SettledSweep(max_periods=40),
+        response=vj.SweepSettings(max_periods=40),
         progress=False,
     )
     words = swept.status.attrs["flag_meanings"].split()
@@ -254,7 +260,7 @@ def test_maps_and_regimes_flag_what_grows_without_bound():
         free,
         frequency_ratio=[0.53, 1.0],
         force=[0.3, 0.4],
-        response=vj.PeriodicPoints(),
+        response=vj.PeriodicSettings(),
         progress=False,
     )
     words = points.status.attrs["flag_meanings"].split()

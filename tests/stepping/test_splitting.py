@@ -46,7 +46,7 @@ def march(rig, ratio, periods, steps):
 
 def exact(rig, ratio, periods):
     history = vj.simulate(
-        rig, frequency_ratio=ratio, periods=periods, samples=4, solver=vj.ExactContact(1e-9)
+        rig, frequency_ratio=ratio, periods=periods, samples=4, stepper=vj.ExactContact(1e-9)
     )
     return np.concatenate([history.coordinates[-1], history.rates[-1]])
 
@@ -80,9 +80,13 @@ def test_sweep_with_a_rounded_stop_agrees_with_exact_contact():
     rounded = vj.Stop(0.5, 0.4e-3, base.stops[0].law, smoothing=1e-8)
     rig = vj.ImpactingBeam(base.beam, rounded, base.drive, 0.018)
     ratios = [1.05, 1.15]
-    ours = vj.frequency_sweep(rig, frequency_ratio=ratios, direction="forward", tolerance=1e-3)
-    truth = vj.frequency_sweep(base, frequency_ratio=ratios, direction="forward")
-    assert "ExponentialSplitting" in ours.attributes["method"]
+    ours = vj.frequency_sweep(
+        rig, frequency_ratio=ratios, settings=vj.SweepSettings(direction="forward", tolerance=1e-3)
+    )
+    truth = vj.frequency_sweep(
+        base, frequency_ratio=ratios, settings=vj.SweepSettings(direction="forward")
+    )
+    assert "ExponentialSplitting" in ours.attributes["stepper"]
     np.testing.assert_allclose(ours.amplitude_ratio, truth.amplitude_ratio, rtol=2e-3)
     np.testing.assert_allclose(ours.contact_force, truth.contact_force, rtol=5e-3)
     np.testing.assert_array_equal(ours.period, truth.period)
@@ -94,7 +98,10 @@ def test_linear_response_is_exact_at_any_step():
     rig = vj.default_rig(gap=1.0)
     rounded = vj.Stop(0.5, 1.0, rig.stops[0].law, smoothing=1e-6)
     linear = vj.ImpactingBeam(rig.beam, rounded, rig.drive, 0.018)
-    settings = {"frequency_ratio": [0.9, 1.3], "direction": "forward"}
+    settings = {
+        "frequency_ratio": [0.9, 1.3],
+        "settings": vj.SweepSettings(direction="forward"),
+    }
     ours = vj.frequency_sweep(linear, **settings)
     truth = vj.frequency_sweep(rig, **settings)
     np.testing.assert_allclose(ours.amplitude_ratio, truth.amplitude_ratio, rtol=1e-8)
@@ -105,4 +112,6 @@ def test_exact_contact_refuses_a_rounded_stop():
     rounded = vj.Stop(0.5, 0.4e-3, base.stops[0].law, smoothing=1e-6)
     rig = vj.ImpactingBeam(base.beam, rounded, base.drive, 0.018)
     with pytest.raises(ValueError, match="ExponentialSplitting"):
-        vj.frequency_sweep(rig, frequency_ratio=[1.0], method=vj.ExactContact())
+        vj.frequency_sweep(
+            rig, frequency_ratio=[1.0], settings=vj.SweepSettings(stepper=vj.ExactContact())
+        )

@@ -187,7 +187,7 @@ def end_while_compiling(process, number):
     """
     with process:
         assert process.stderr is not None
-        assert any("Compiling" in line and "_march" in line for line in process.stderr)
+        assert any("Compiling" in line and "march_some" in line for line in process.stderr)
         time.sleep(0.3)
         assert process.poll() is None
         process.send_signal(number)
@@ -237,7 +237,8 @@ def test_a_program_that_runs_a_study_does_not_crash(tmp_path):
     process = program_of(tmp_path, "-c", f"import vibrojax as vj\n{study}")
     told, _ = end_while_compiling(process, signal.SIGINT)
     assert process.returncode == -signal.SIGINT
-    assert told.rstrip().endswith("KeyboardInterrupt")
+    # What compiles in the background may still say that it has ended.
+    assert "KeyboardInterrupt" in told.splitlines()
 
 
 SECOND = """

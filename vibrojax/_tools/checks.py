@@ -198,14 +198,13 @@ def check_frequencies(name: str, values: Any, unit: str) -> np.ndarray:
     axis = np.atleast_1d(axis)
     if axis.size == 0:
         raise ValueError(f"{name} is empty: give at least one value ({unit}).")
-    if not np.isfinite(axis).all():
-        bad = int(np.flatnonzero(~np.isfinite(axis))[0])
-        raise ValueError(f"{name} must be finite, got {axis[bad]} at index {bad}.")
-    if (axis <= 0).any():
-        bad = int(np.flatnonzero(axis <= 0)[0])
-        raise ValueError(f"{name} must be above 0 {unit}, got {axis[bad]} at index {bad}.")
-    if (np.diff(axis) <= 0).any():
-        bad = int(np.flatnonzero(np.diff(axis) <= 0)[0])
+    for wrong, allowed in ((~np.isfinite(axis), "finite"), (axis <= 0, f"above 0 {unit}")):
+        if wrong.any():
+            bad = int(np.argmax(wrong))
+            raise ValueError(f"{name} must be {allowed}, got {axis[bad]} at index {bad}.")
+    falls = np.diff(axis) <= 0
+    if falls.any():
+        bad = int(np.argmax(falls))
         raise ValueError(
             f"{name} must increase strictly, got {axis[bad]} then {axis[bad + 1]} at index "
             f"{bad + 1}. Sort it; the backward sweep is made for you."

@@ -110,3 +110,10 @@ def in_short(value: Any) -> str:
 def recipe(value: Any) -> str:
     """Return the text from which Python makes the value again, as files keep it."""
     return eqx.tree_pformat(value) if isinstance(value, eqx.Module) else repr(value)
+
+
+class AbstractSettings(eqx.Module):
+    """Settings, which show themselves as `described` does."""
+
+    def __repr__(self) -> str:
+        return described(self)

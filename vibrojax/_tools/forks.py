@@ -6,6 +6,8 @@ import threading
 import jax
 import jax.monitoring
 
+from vibrojax._tools.compiled import forget
+
 _running = threading.Event()
 """Whether JAX has computed in this process."""
 _hanging = threading.Event()
@@ -28,7 +30,9 @@ def _listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
 def _mark() -> None:
     if _running.is_set():
         _hanging.set()
-        jax.clear_caches()  # so that what was compiled is traced again, and refused
+        # So that what was compiled is traced again, and refused.
+        jax.clear_caches()
+        forget()
 
 
 jax.monitoring.register_event_duration_secs_listener(_listen)

@@ -19,6 +19,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from typing import Any, NoReturn, TypeVar
@@ -64,6 +65,10 @@ SETTINGS = (
 
 _left: list[threading.Thread] = []
 """Threads of calls that were interrupted, until XLA lets go of them."""
+
+
+_background: list[threading.Thread] = []
+"""The last of the threads that work in the background; each waits for the one before."""
 
 
 def in_threads(
@@ -120,6 +125,26 @@ def in_threads(
         _stop(_left, PATIENCE)
 
 
+def in_background(function: Callable[[], Result]) -> "Future[Result]":
+    """Call a function in the background, one after the other; return what will hold its result."""
+    future: Future[Result] = Future()
+
+    before = _background[-1] if _background else None
+
+    def work() -> None:
+        if before is not None:
+            before.join()
+        try:
+            future.set_result(function())
+        except BaseException as error:
+            future.set_exception(error)
+
+    thread = threading.Thread(target=contextvars.copy_context().run, args=(work,), daemon=True)
+    _background[:] = [thread]
+    thread.start()
+    return future
+
+
 def stoppable(function: Callable[..., Result], *arguments: Any, **keywords: Any) -> Result:
     """Call a function in a thread of its own, from which Ctrl-C frees the caller at once."""
     with closing(in_threads(lambda _: function(*arguments, **keywords), (None,))) as results:
@@ -160,6 +185,8 @@ def _let_xla_end() -> None:
         end_now(-signal.SIGINT)
     try:
         _stop(_left)
+        for thread in _background:
+            thread.join()
     except KeyboardInterrupt:
         end_now(-signal.SIGINT)
 

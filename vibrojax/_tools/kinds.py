@@ -115,16 +115,12 @@ def _has_names(value: Any) -> bool:
         return False
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
 NUMBER = Kind("a number", is_number, plural="numbers")
 NUMBER_OR_BATCH = Kind("a number", _is_number_or_batch)
 ONE_OF_NUMBERS = Kind("a number", _are_numbers)  # who asks for one says what takes several
 NUMBERS = Kind("a number or a list of numbers", _are_numbers, plural="numbers")
 ARRAY = Kind("a number or an array of numbers", _are_numbers)
-TEXT = Kind("a text", _is_text, plural="texts")
+TEXT = Kind("a text", lambda value: isinstance(value, str), plural="texts")
 FUNCTION = Kind("a function", callable, plural="functions")
 BY_NAME = Kind("a function of named numbers", _has_names)
 PATH = Kind("a path", lambda value: isinstance(value, os.PathLike), plural="paths")
@@ -243,35 +239,39 @@ def _list_of(item: Kind | None) -> Kind:
     return Kind(f"a list{inside}", accepts, parts)
 
 
-def _row_of(items: list[Kind | None]) -> Kind:
-    def parts(value: Any) -> Iterator[tuple[str, Any, Kind]]:
-        if is_list(value) and len(value) == len(items):
-            for k, (one, kind) in enumerate(zip(value, items, strict=True)):
-                if kind is not None:
-                    yield f"[{k}]", one, kind
+def _held(words: str, fits: Callable[[Any], bool], parts: Any, plural: str = "") -> Kind:
+    """Return the kind of a container that fits, with parts that do."""
 
     def accepts(value: Any) -> bool:
-        fits = is_list(value) and len(value) == len(items)
-        return fits and all(kind.accepts(one) for _, one, kind in parts(value))
+        return fits(value) and all(kind.accepts(one) for _, one, kind in parts(value))
+
+    return Kind(words, accepts, parts, plural)
+
+
+def _row_of(items: list[Kind | None]) -> Kind:
+    def fits(value: Any) -> bool:
+        return is_list(value) and len(value) == len(items)
+
+    def parts(value: Any) -> Iterator[tuple[str, Any, Kind]]:
+        for k, kind in enumerate(items if fits(value) else ()):
+            if kind is not None:
+                yield f"[{k}]", value[k], kind
 
     held = "numbers" if all(kind is NUMBER for kind in items) else "values"
-    return Kind(f"a tuple of {len(items)} {held}", accepts, parts, f"tuples of {len(items)} {held}")
+    return _held(f"a tuple of {len(items)} {held}", fits, parts, f"tuples of {len(items)} {held}")
 
 
 def _dict_of(key: Kind, item: Kind | None) -> Kind:
     def parts(value: Any) -> Iterator[tuple[str, Any, Kind]]:
-        if isinstance(value, Mapping):
-            for name, one in value.items():
-                if not key.accepts(name):
-                    yield " (a key of it)", name, key
-                if item is not None:
-                    yield f"[{name!r}]", one, item
-
-    def accepts(value: Any) -> bool:
-        return isinstance(value, Mapping) and all(k.accepts(one) for _, one, k in parts(value))
+        for name, one in value.items() if isinstance(value, Mapping) else ():
+            if not key.accepts(name):
+                yield " (a key of it)", name, key
+            if item is not None:
+                yield f"[{name!r}]", one, item
 
     inside = f" of {item.plural}" if item is not None and item.plural else ""
-    return Kind(f"a dict{inside} by {'name' if key is TEXT else 'number'}", accepts, parts)
+    words = f"a dict{inside} by {'name' if key is TEXT else 'number'}"
+    return _held(words, lambda value: isinstance(value, Mapping), parts)
 
 
 def _instance_of(wanted: type) -> Kind:

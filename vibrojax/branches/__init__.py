@@ -2,7 +2,6 @@
 
 from vibrojax.branches.branch import Branch as Branch
 from vibrojax.branches.branch import Branches as Branches
-from vibrojax.branches.coexisting_result import Coexisting as Coexisting
 from vibrojax.branches.fold_curves import FoldCurve as FoldCurve
 from vibrojax.branches.fold_curves import FoldCurves as FoldCurves
 from vibrojax.branches.folds import Fold as Fold

@@ -3,16 +3,23 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import Var
 
 from vibrojax._tools.checks import check_positive
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.described import in_short, recipe
-from vibrojax.ensemble.arguments import Arguments, arguments_of
+from vibrojax.ensemble.arguments import Arguments, arguments_of, numbers_apart
 from vibrojax.ensemble.frequencies import check_drive
-from vibrojax.ensemble.lanes import check_lists, check_no_numbers, made_by
+from vibrojax.ensemble.lanes import check_lists, check_no_numbers, made_by, stacked
+from vibrojax.ensemble.ranges import Range
 from vibrojax.model.equations import AbstractEquations
-from vibrojax.model.systems import AbstractSystem, as_arrays, equations_of
+from vibrojax.model.systems import AbstractSystem, as_arrays, equation_kinds
 from vibrojax.steady.methods import check_balance
+from vibrojax.steady.paths import AbstractPath, FunctionPath, NumberPath, frequency_path
 
 
 class Along(NamedTuple):
@@ -21,8 +28,7 @@ class Along(NamedTuple):
     make: Any
     """The function, or the system itself."""
     name: str
-    low: float
-    high: float
+    range: Range
     axes: dict[str, np.ndarray]
     fixed: dict[str, float]
     static: dict[str, Any]
@@ -31,47 +37,76 @@ class Along(NamedTuple):
     frequency: float
     """Drive frequency where another number is followed."""
     is_ratio: bool
+    rigs: list[AbstractSystem]
+    """By lane, from concrete numbers; at the low end where another number is followed."""
+    far_rigs: list[AbstractSystem]
+    """The same at its high end; none where the frequency is followed."""
     sample: AbstractSystem
     description: str
 
-    @property
-    def systems(self) -> list[AbstractSystem]:
-        """The systems of all lanes, where the frequency is followed."""
-        return [_make(self.make, self.static | self.fixed | row) for row in self.labels]
-
-
-def _range(name: str, value: tuple) -> tuple[float, float]:
-    if len(value) != 2:
-        raise ValueError(f"{name} must be a range (low, high), got {in_short(value)}.")
-    try:
-        low, high = float(value[0]), float(value[1])
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a range of two numbers, got {in_short(value)}.") from None
-    if not (np.isfinite(low) and np.isfinite(high)):
-        raise ValueError(f"{name} must be a range of finite numbers, got {in_short(value)}.")
-    if not low < high:
-        raise ValueError(
-            f"{name} = ({low:g}, {high:g}) is a range without width: give (low, high) with low "
-            "below high. A branch is followed from low to high, through its folds both ways."
+    def paths(self, exact: bool) -> AbstractPath:
+        """Make the stacked paths of all lanes."""
+        if self.name in ("frequency_ratio", "frequency"):
+            return frequency_paths(stacked(self.rigs), self.is_ratio, exact)
+        count = len(self.labels)
+        frequency = jnp.full(count, self.frequency)
+        followed = _numbers_followed(self)
+        if followed is not None:
+            path = NumberPath(stacked(self.rigs), followed, frequency, self.is_ratio)
+            # A function that decides by the numbers of a lane could have escaped.
+            high = jnp.full(count, self.range.high)
+            if eqx.tree_equal(path.with_number(high), stacked(self.far_rigs)):
+                return path
+        rows = {n: jnp.asarray([labels[n] for labels in self.labels]) for n in self.labels[0]}
+        fixed = {n: jnp.full(count, v, float) for n, v in self.fixed.items()}
+        return FunctionPath(
+            make=self.make,
+            name=self.name,
+            fixed=rows | fixed,
+            static=self.static,
+            frequency=frequency,
+            is_ratio=self.is_ratio,
         )
-    return low, high
+
+
+def _numbers_followed(along: Along) -> tuple[bool, ...] | None:
+    """Which numbers of the system are the one that is followed; None if one is computed from it.
+
+    Where none is, the programs need not know the user's function: they are the same for all.
+    """
+    held = along.static | along.fixed | along.labels[0]
+
+    def leaves(value: Any) -> list[Any]:
+        return jax.tree.leaves(as_arrays(along.make(**held, **{along.name: value})))
+
+    program = jax.make_jaxpr(leaves)(jnp.asarray(along.range.low, float)).jaxpr
+    (number,) = program.invars
+    touched = {number}
+    for equation in program.eqns:
+        if any(isinstance(v, Var) and v in touched for v in equation.invars):
+            touched.update(equation.outvars)
+    if any(isinstance(v, Var) and v in touched and v is not number for v in program.outvars):
+        return None
+    return tuple(v is number for v in program.outvars)
+
+
+@compiled(lightly=True)
+def frequency_paths(systems: AbstractSystem, is_ratio: bool, exact: bool) -> AbstractPath:
+    """Make the paths along the frequency of stacked systems."""
+    return jax.vmap(lambda s: frequency_path(s, is_ratio, exact))(systems)
 
 
 def _frequency(ratio: Any, frequency: Any) -> tuple[str, Any]:
     if (ratio is None) == (frequency is None):
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
     name, value = ("frequency_ratio", ratio) if ratio is not None else ("frequency", frequency)
-    if np.ndim(value) > 0 and not isinstance(value, tuple) and len(value) != 2:
+    if not isinstance(value, Range) and np.ndim(value) > 0:
         raise ValueError(
-            f"{name} must be a range (low, high) or one number, got {len(value)} values. "
+            f"{name} must be a range, vj.Range(low, high), or one number, got {in_short(value)}. "
             "Give the range, then branch.resample(values)."
         )
-    if np.ndim(value) > 0:
-        value = tuple(np.asarray(value, float).tolist()) if not isinstance(value, tuple) else value
-        low, _ = _range(name, value)
-        check_positive(name, low, "(ratio)" if name == "frequency_ratio" else "Hz")
-    else:
-        check_positive(name, value, "(ratio)" if name == "frequency_ratio" else "Hz")
+    least = value.low if isinstance(value, Range) else value
+    check_positive(name, least, "(ratio)" if name == "frequency_ratio" else "Hz")
     return name, value
 
 
@@ -84,65 +119,56 @@ def along_of(
 ) -> Along:
     """Sort the numbers of a call. Raises `ValueError` as `continue_response` says."""
     name, value = _frequency(frequency_ratio, frequency)
-    ranges = {n: _range(n, v) for n, v in numbers.items() if isinstance(v, tuple)}
-    others = {n: v for n, v in numbers.items() if not isinstance(v, tuple)}
-    follows_frequency = isinstance(value, tuple)
+    follows_frequency = isinstance(value, Range)
+    ranges = {n: v for n, v in numbers.items() if isinstance(v, Range)}
     if follows_frequency == bool(ranges) or len(ranges) > 1:
         raise ValueError(
-            f"Give exactly one range (low, high) to follow: {name} or one argument of the "
+            f"Give exactly one vj.Range(low, high) to follow: {name} or one argument of the "
             f"function. Got {1 if follows_frequency else 0} for {name} and {len(ranges)} among "
             f"the numbers of the function ({', '.join(numbers) or 'there are none'})."
         )
     if isinstance(system, AbstractSystem):
         check_no_numbers(numbers, groups)
-        named = Arguments((), {})
+        named = Arguments((), {}, {})
     else:
-        check_lists(others)
-        named = arguments_of(system, groups, others, given=ranges)
+        check_lists(numbers)
+        named = arguments_of(system, groups, numbers, with_ranges=True)
     for dimension in named.dimensions:
         if dimension.is_text:
             raise ValueError(
                 f"{dimension.name} must be numbers, got texts among them: a branch per text is a "
                 "call of its own."
             )
-    fixed = {n: float(v) for n, v in named.fixed.items() if _is_real(v)}
-    static = {n: v for n, v in named.fixed.items() if n not in fixed}
+    fixed, static = numbers_apart(named.fixed)
     varied = [n for d in named.dimensions for n in d.values]
     labels = [{n: float(named.at(k)[n]) for n in varied} for k in np.ndindex(*named.shape)]
     if follows_frequency:
-        followed, (low, high) = name, _range(name, value)
-        sample = _make(system, static | fixed | labels[0])
+        followed, reach = name, value
+        held, far = {}, []
         frequency_value = np.nan
     else:
-        (followed, (low, high)), *_ = ranges.items()
+        ((followed, reach),) = ranges.items()
         frequency_value = float(value)
         # Both ends are built from concrete numbers, so checked.
-        ends = [
-            _make(system, static | fixed | row | {followed: end})
-            for end in (high, low)
-            for row in labels
-        ]
-        sample = ends[-1]
+        held = {followed: reach.low}
+        far = [_make(system, static | fixed | row | {followed: reach.high}) for row in labels]
+    rigs = [_make(system, static | fixed | row | held) for row in labels]
+    sample = rigs[0] if follows_frequency else rigs[-1]
     check_continued(sample)
     return Along(
         make=system,
         name=followed,
-        low=low,
-        high=high,
+        range=reach,
         axes=named.axes,
         fixed=fixed,
         static=static,
         labels=labels,
         frequency=frequency_value,
         is_ratio=name == "frequency_ratio",
+        rigs=rigs,
+        far_rigs=far,
         sample=sample,
         description=recipe(sample),
-    )
-
-
-def _is_real(value: Any) -> bool:
-    return isinstance(value, float | np.floating) or (
-        hasattr(value, "dtype") and np.ndim(value) == 0
     )
 
 
@@ -150,16 +176,12 @@ def _make(system: Any, numbers: dict[str, Any]) -> AbstractSystem:
     return system if isinstance(system, AbstractSystem) else made_by(system, numbers)
 
 
-def check_system(system: AbstractSystem) -> None:
-    """Refuse, with a `ValueError`, a system without drive, stops, or linear equations."""
-    check_drive(system)
-    check_equations(system, equations_of(as_arrays(system)))
-
-
 def check_continued(system: AbstractSystem) -> None:
     """Refuse, with a `ValueError`, a system whose branches cannot be followed."""
-    check_system(system)
-    check_balance(equations_of(as_arrays(system)).stops)
+    check_drive(system)
+    equations = equation_kinds(system)
+    check_equations(system, equations)
+    check_balance(equations.stops)
 
 
 def check_equations(system: AbstractSystem, equations: AbstractEquations) -> None:

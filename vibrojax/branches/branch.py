@@ -1,6 +1,6 @@
 """A branch of periodic responses: the result of a continuation."""
 
-import os
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
@@ -11,13 +11,12 @@ from jaxtyping import ArrayLike
 
 from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
-from vibrojax.branches.points import CURVES as CURVES
-from vibrojax.branches.points import BranchPoints
+from vibrojax.branches.points import CURVES, BranchPoints
 from vibrojax.branches.resampling import resample
+from vibrojax.branches.settings import ContinuationSettings
 from vibrojax.branches.switching import switch_branch
 from vibrojax.results.axes import coordinates_of, pick
-from vibrojax.results.saving import save_dataset
-from vibrojax.results.variables import axis_description as axis_description
+from vibrojax.results.saving import AbstractSaved
 from vibrojax.sweep.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Branch(BranchPoints):
+class Branch(BranchPoints, AbstractSaved):
     """Periodic responses of one system along a branch, stable and unstable, in order of arclength.
 
     Arrays have the shape (points,). Ratios are over the drive amplitude; displacements are those
@@ -48,22 +47,13 @@ class Branch(BranchPoints):
         return resample(self, values)
 
     @validated
-    def switch(self, number: int = 0, **settings: Any) -> "Branch":
+    def switch(self, number: int = 0, settings: ContinuationSettings | None = None) -> "Branch":
         """Follow the branch of twice the period that leaves at a period doubling.
 
-        `number` counts `period_doublings`; settings are `max_points` and `longest_step` of
-        `continue_response`. Raises `ValueError` where there is no such point.
+        `number` counts `period_doublings`; of the settings `max_points` and `longest_step` count,
+        the rest is as on this branch. Raises `ValueError` where there is no such point.
         """
-        return Branch.of(switch_branch(self, number, **settings))
-
-    @validated
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file, whole or not at all.
-
-        `path` is that of the file, such as `curve.nc`; what is there is replaced. Raises
-        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
-        """
-        save_dataset(self.to_xarray(), path)
+        return Branch.of(switch_branch(self, number, settings or ContinuationSettings()))
 
     @validated
     def plot(
@@ -90,7 +80,7 @@ def _picture(
         raise ValueError(f"A sweep has no {variable}: draw the branch without it.")
     if sweep is not None and any(len(values) > 1 for values in sweep.axes.values()):
         raise ValueError("sweep must be of one system: pick one value of every axis.")
-    from vibrojax.plot.branch import plot_branches
+    from vibrojax.plot.branches import plot_branches
 
     return plot_branches(drawn, variable, laid)
 
@@ -123,7 +113,7 @@ class Branches(eqx.Module):
 
         Raises `ValueError` for an axis that is unknown or left out.
         """
-        index, _, missing = pick(self.axes, labels)
+        index, missing = pick(self.axes, labels)
         if missing:
             raise ValueError(f"Give a value of {', '.join(missing)} too.")
         return self.branches[int(np.ravel_multi_index(index, self.shape))]
@@ -148,7 +138,9 @@ class Branches(eqx.Module):
         stacked["ticks"] = ("lane", [b.ticks for b in self.branches])
         names = list(self.axes)
         grid = np.indices(self.shape).reshape(len(names), -1)
-        stacked = stacked.assign_coords({n: ("lane", grid[k]) for k, n in enumerate(names)})
+        stacked = stacked.assign_coords(
+            {n: ("lane", at) for n, at in zip(names, grid, strict=True)}
+        )
         over_axes = (
             stacked.set_index(lane=names).unstack("lane")
             if len(names) > 1
@@ -167,9 +159,7 @@ class Branches(eqx.Module):
 
     def __repr__(self) -> str:
         shape = ", ".join(f"{name}: {len(v)}" for name, v in self.axes.items())
-        tally: dict[str, int] = {}
-        for b in self.branches:
-            tally[b.status] = tally.get(b.status, 0) + 1
+        tally = Counter(b.status for b in self.branches)
         counts = ", ".join(f"{n} {status}" for status, n in tally.items())
         points = sum(len(b.values) for b in self.branches)
         return f"Branches({shape}): {points} points; {counts}"

@@ -6,12 +6,14 @@ shorter step by itself.
 """
 
 import enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.steady.condensed import balance, condensed_problem, solve_condensed
 from vibrojax.steady.paths import AbstractPath
@@ -23,6 +25,8 @@ FIRST_STEP, LONGEST_STEP, SHORTEST_STEP = 0.02, 0.08, 1e-6
 STRAIGHT = 0.85
 """Least cosine between tangents of neighbouring points."""
 MOST_CORRECTIONS = 8
+TICKS = 64
+"""Run in one call of the compiled loop."""
 LOOP_POINTS = 12
 """Points before a branch can close on itself."""
 
@@ -108,55 +112,55 @@ def begin(
     depth: Complex[AnyArray, "lanes stops harmonics"],
     parameter: Float[AnyArray, " lanes"],
     tangent: Complex[AnyArray, "lanes stops harmonics"] | None = None,
-    direction: Float[AnyArray, " lanes"] | None = None,
 ) -> Trace:
     """Start every lane from a first guess of its motion at the start of the range.
 
-    With a `tangent` the guess is a point of the branch already, and the first step goes along it
-    (with `direction`, the change of the parameter along it).
+    With a `tangent` the guess is a point of the branch already, and the first step goes along it,
+    at the same parameter. On the host: single operations compile anew for every number of lanes.
     """
-    depth = jnp.asarray(depth, complex)
     lanes = depth.shape[0]
-    zero, off = jnp.zeros(lanes), jnp.zeros(lanes, bool)
-    count = jnp.zeros(lanes, jnp.int32)
-    at = jnp.asarray(parameter, float) + zero
+    zero: Any = np.zeros(lanes)
+    off: Any = np.zeros(lanes, bool)
+    count: Any = np.zeros(lanes, np.int32)
+    first: Any = np.array(depth, complex)
+    at: Any = np.asarray(parameter, float) + zero
     trace = Trace(
-        depth=depth,
+        depth=first,
         parameter=at,
-        last_depth=depth,
+        last_depth=first,
         last_parameter=at,
-        tangent=jnp.zeros_like(depth),
+        tangent=np.zeros_like(first),
         tangent_parameter=zero,
         step=zero + FIRST_STEP,
         corrections=count,
-        last_size=zero + jnp.inf,
+        last_size=zero + np.inf,
         pinned=~off,
         goal=at,
         started=off,
         status=count,
         ticks=count,
         points=count,
-        first_depth=depth,
+        first_depth=first,
         first_parameter=at,
     )
-    if tangent is None or direction is None:
+    if tangent is None:
         return trace
-    tangent = jnp.asarray(tangent, complex)
-    size = jnp.sqrt(dot(depth, depth) / dot(tangent, tangent))
-    unit = tangent * size[:, None, None]
+    along: Any = np.asarray(tangent, complex)
+    size = np.sqrt(dot(first, first) / dot(along, along))
+    unit = along * size[:, None, None]
     return trace._replace(
         tangent=unit,
-        tangent_parameter=jnp.asarray(direction, float) + zero,
-        depth=depth + FIRST_STEP * unit,
+        depth=first + FIRST_STEP * unit,
         pinned=off,
         started=~off,
     )
 
 
-def dot(a: Complex[Array, "*sides"], b: Complex[Array, "*sides"]) -> Float[Array, "..."]:
+def dot(a: Complex[AnyArray, "*sides"], b: Complex[AnyArray, "*sides"]) -> Float[AnyArray, "..."]:
     """Mean over time of the product of two motions given by spectra (up to a constant)."""
-    product = (a * jnp.conj(b)).real
-    return 2 * jnp.sum(product, axis=(-2, -1)) - jnp.sum(product[..., 0], axis=-1)
+    product: Any = a * b.conj()
+    product = product.real
+    return 2 * product.sum(axis=(-2, -1)) - product[..., 0].sum(axis=-1)
 
 
 def capacities(unknowns: int) -> tuple[int, ...]:
@@ -165,6 +169,7 @@ def capacities(unknowns: int) -> tuple[int, ...]:
     return tuple(sorted({max(4, size) for size in sizes}))
 
 
+@compiled
 def follow(
     paths: AbstractPath,
     settings: Settings,
@@ -173,9 +178,8 @@ def follow(
     samples: int,
     period: int,
     harmonics: int | None,
-    ticks: int,
 ) -> tuple[Trace, Point]:
-    """Run some ticks of all lanes; points are stacked along a leading axis of ticks."""
+    """Run some ticks (Newton steps) of all lanes; points are stacked along a leading axis."""
     sizes = capacities(trace.depth.shape[1] * samples)
 
     def linearise(path, depth, parameter):
@@ -211,7 +215,7 @@ def follow(
         both = lax.switch(jnp.minimum(level, len(sizes) - 1), solvers, problem, at, right)
         return _advance(trace, both[:, 0], both[:, 1], settings, running)
 
-    return lax.scan(tick, trace, None, length=ticks)
+    return lax.scan(tick, trace, None, length=TICKS)
 
 
 def _advance(trace: Trace, correction, direction, settings: Settings, running):

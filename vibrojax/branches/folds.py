@@ -7,22 +7,23 @@ the system and can be differentiated.
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.described import shown_value
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.points import SpecialPoint
 from vibrojax.model.systems import AbstractSystem, as_arrays
-from vibrojax.steady.contact_times import MOST_EVENTS, Events, Orbit, follow_events
-from vibrojax.steady.implicit import frozen
-from vibrojax.steady.orbit_reading import Reading, find_crossings, read_motion
+from vibrojax.steady.contact_times import Events, Orbit, follow_events
+from vibrojax.steady.implicit import frozen, with_columns
+from vibrojax.steady.orbit_reading import find_crossings, read_motion
 from vibrojax.steady.paths import FrequencyPath, frequency_path
 from vibrojax.steady.starting import sampled_motion
 from vibrojax.stepping.choice import is_exact
+from vibrojax.stepping.measures import MOST_EVENTS
 
 lax = jax.lax
 
@@ -76,7 +77,9 @@ def fold_response(system: AbstractSystem, near: SpecialPoint | Fold, *, axis: st
         raise ValueError(f"near must be a fold with contact, got {near!r}.")
     state = frozen(jnp.asarray(near.initial_state, float))
     value = frozen(jnp.asarray(near.parameter, float))
-    return _fold(as_arrays(system), state, value, axis == "frequency_ratio")
+    arrays, is_ratio = as_arrays(system), axis == "frequency_ratio"
+    found = _search(frozen(arrays), state, value, is_ratio)
+    return with_columns(_fold, arrays, *found, is_ratio)
 
 
 class _Frame(NamedTuple):
@@ -90,7 +93,7 @@ class _Frame(NamedTuple):
 
 
 def _condition(path: FrequencyPath, frame: _Frame, times, unknown):
-    """Return of the state, and the measure of singularity that vanishes at a fold."""
+    """Return of the state and the measure of singularity that vanishes at a fold; contact times."""
     x, p = unknown[:-1], unknown[-1]
 
     def end(x):
@@ -104,13 +107,12 @@ def _condition(path: FrequencyPath, frame: _Frame, times, unknown):
     n = x.size
     bordered = jnp.block([[matrix - jnp.eye(n), left[:, None]], [right[None], jnp.zeros((1, 1))]])
     measure = jnp.linalg.solve(bordered, jnp.zeros(n + 1).at[-1].set(1.0))[-1]
-    return jnp.append(after - x, measure), (motion, matrix)
+    return jnp.append(after - x, measure), motion.times
 
 
-@eqx.filter_jit
-def _fold(system, state, value, is_ratio) -> Fold:
+@compiled
+def _fold(system, frame, times, unknown, jacobian, error, is_ratio) -> Fold:
     path = frequency_path(system, is_ratio, True)
-    frame, times, unknown, jacobian, error = _search(frozen(path), state, value)
     out, _ = _condition(path, frame, times, unknown)
     good = error < SOLVED
     unknown = unknown - jnp.linalg.solve(jacobian, jnp.where(good, out, 0.0))
@@ -119,14 +121,9 @@ def _fold(system, state, value, is_ratio) -> Fold:
     orbit = Orbit(unknown[:-1] * frame.size, times)
     motion = follow_events(tables, frame.events, orbit, 1)
     reading = read_motion(tables, frame.events, motion, 1)
-    return _described(path, value, reading, good)
-
-
-def _described(path: FrequencyPath, value, reading: Reading, good) -> Fold:
     assert path.phases is not None
     reference, _ = path.drive.reference
-    size = jnp.max(path.phases.gap)
-    found = good & reading.ordered & (reading.breach <= 1e-7 * size)
+    found = good & reading.ordered & (reading.breach <= 1e-7 * jnp.max(path.phases.gap))
     lost = jnp.where(found, 0.0, jnp.nan)
     return Fold(
         parameter=value + lost,
@@ -137,8 +134,10 @@ def _described(path: FrequencyPath, value, reading: Reading, good) -> Fold:
     )
 
 
-def _search(path: FrequencyPath, state, value) -> Any:
+@compiled
+def _search(system, state, value, is_ratio) -> Any:
     """Newton's method on motion, frequency and singularity; no derivatives."""
+    path = frequency_path(system, is_ratio, True)
     assert path.phases is not None
     depth, change, states = sampled_motion(path, value, state, 1, True)
     found = find_crossings(depth, change, MOST_EVENTS, 1)
@@ -166,14 +165,14 @@ def _search(path: FrequencyPath, state, value) -> Any:
         def condition(u):
             return _condition(path, frame, times, u)
 
-        jacobian, (motion, _) = jax.jacfwd(condition, has_aux=True)(unknown)
+        jacobian, now = jax.jacfwd(condition, has_aux=True)(unknown)
         out, _ = condition(unknown)
         change = jnp.linalg.solve(jacobian, -out)
         length = jnp.max(jnp.abs(change))
         change = change * jnp.minimum(1.0, 0.1 / jnp.where(length > 0, length, 1.0))
         error = jnp.maximum(jnp.max(jnp.abs(out[:-1])), length)
         unknown = jnp.where(last, unknown, unknown + change)
-        return (unknown, jnp.where(last, times, motion.times), jacobian, error), None
+        return (unknown, jnp.where(last, times, now), jacobian, error), None
 
     n = unknown.size
     carry = unknown, found.times, jnp.zeros((n, n)), jnp.asarray(jnp.inf)

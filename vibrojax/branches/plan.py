@@ -1,13 +1,15 @@
 """What a continuation is to do, apart from the systems it is done with."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 
-class Resolution(NamedTuple):
-    """Samples per drive period of the balance, and the harmonics kept (None: all)."""
+from vibrojax.branches.over_range import scale_of, trace_over
+from vibrojax.branches.tracing import Traced
+from vibrojax.steady.paths import AbstractPath
 
-    samples: int
-    harmonics: int | None = None
+CONVERGED = 1e-4
+"""Newton correction at which a point to be made exact counts as found; others go on to 1e-8."""
 
 
 class Plan(NamedTuple):
@@ -20,18 +22,30 @@ class Plan(NamedTuple):
     """Values of the axes, by lane."""
     period: int
     exact: bool
-    resolution: Resolution
+    samples: int
+    """Samples per drive period of the balance."""
+    harmonics: int | None
+    """Harmonics kept; None: all."""
     max_points: int
     longest_step: float
     ratio_units: str
     description: str
 
-    @property
-    def fallbacks(self) -> tuple[Resolution, ...]:
-        """Resolutions tried in turn where a branch does not reach its end."""
-        samples, harmonics = self.resolution
-        return (
-            Resolution(2 * samples, harmonics),
-            Resolution(samples // 2, harmonics),
-            Resolution(samples // 2, 12),
+    def trace(
+        self, paths: AbstractPath, start: np.ndarray, guess: Any = None, **others: Any
+    ) -> list[Traced]:
+        """Trace some lanes; upwards from free flight, or as `trace_over` is told."""
+        largest = 1.0 if self.axis == "frequency_ratio" else np.inf
+        return trace_over(
+            paths,
+            start,
+            self.low,
+            self.high,
+            scale=scale_of(self.low, self.high, largest),
+            guess=guess,
+            tolerance=CONVERGED if self.exact else 1e-8,
+            longest=self.longest_step,
+            period=self.period,
+            max_points=self.max_points,
+            **{"samples": self.samples, "harmonics": self.harmonics} | others,
         )

@@ -53,11 +53,7 @@ class SpecialPoint(eqx.Module):
 
 
 class BranchPoints(eqx.Module):
-    """Periodic responses of one system along a branch, stable and unstable, in order of arclength.
-
-    Arrays have the shape (points,). Ratios are over the drive amplitude; displacements are those
-    that the system reports (the tip), relative to the base.
-    """
+    """What a `Branch` holds, and all of it that needs no further solving."""
 
     axis: str = eqx.field(static=True)
     """The parameter: `frequency_ratio`, `frequency` (Hz) or a name of the user's function."""
@@ -174,22 +170,19 @@ class BranchPoints(eqx.Module):
 
         axis_units = axis_unit(self.axis)
 
-        def described(name: str) -> dict[str, Any]:
-            return described_as(name, self.ratio_units, axis_units)
+        def described(name: str, dims: tuple[str, ...], values: Any) -> tuple[Any, ...]:
+            return dims, np.asarray(values), described_as(name, self.ratio_units, axis_units)
 
-        data: dict[str, Any] = {
-            name: ("point", np.asarray(getattr(self, name)), described(name)) for name in CURVES
-        }
+        data: dict[str, Any] = {n: described(n, ("point",), getattr(self, n)) for n in CURVES}
         for name in ("exact_points", "stable"):
-            data[name] = ("point", getattr(self, name).astype(np.int8), described(name))
+            data[name] = described(name, ("point",), getattr(self, name).astype(np.int8))
         for part, values in (
             ("real", np.real(self.floquet_multipliers)),
             ("imaginary", np.imag(self.floquet_multipliers)),
         ):
             name = f"floquet_multiplier_{part}"
-            data[name] = (("point", "multiplier"), values, described(name))
-        states = (("point", "state"), self.initial_state, described("initial_state"))
-        data["initial_state"] = states
+            data[name] = described(name, ("point", "multiplier"), values)
+        data["initial_state"] = described("initial_state", ("point", "state"), self.initial_state)
         for kind in SPECIAL:
             label, dim = kind.replace("_", " ").capitalize(), kind[:-1]
             own = [point for point in self.special_points if point.kind == dim]
@@ -199,42 +192,33 @@ class BranchPoints(eqx.Module):
             data[f"{dim}_after"] = (dim, np.array([p.after for p in own], int), after)
             for name in ("amplitude_ratio", "contact_force"):
                 values = np.array([getattr(p, name) for p in own], float)
-                data[f"{dim}_{name}"] = (dim, values, described(name))
+                data[f"{dim}_{name}"] = described(name, (dim,), values)
         coordinates: dict[str, Any] = {
             self.axis: ("point", self.values, axis_description(self.axis)),
-            "arclength": ("point", self.arclength, described("arclength")),
+            "arclength": described("arclength", ("point",), self.arclength),
         }
-        for name, value in self.labels.items():
-            coordinates[name] = ((), value, axis_description(name))
-        attributes = dict(self.attributes) | {
-            "axis": self.axis,
-            "status": self.status,
-            "sentence": self.sentence,
-            "period": self.period,
-            "ticks": self.ticks,
-            "exact": int(self.exact),
-        }
-        return xarray.Dataset(data, coordinates, attrs=attributes)
+        coordinates |= {n: ((), v, axis_description(n)) for n, v in self.labels.items()}
+        about = ("axis", "status", "sentence", "period", "ticks")
+        attributes = {name: getattr(self, name) for name in about} | {"exact": int(self.exact)}
+        return xarray.Dataset(data, coordinates, attrs=self.attributes | attributes)
 
     def __repr__(self) -> str:
-        lines = [
-            f"{type(self).__name__}({len(self.values)} points along {self.axis} "
-            f"{np.min(self.values, initial=np.inf):.6g} to "
-            f"{np.max(self.values, initial=-np.inf):.6g}, period {self.period})"
-            if len(self.values)
-            else f"{type(self).__name__}(no points along {self.axis})"
-        ]
+        name, count = type(self).__name__, len(self.values)
+        lines = [f"{name}(no points along {self.axis})"]
+        if count:
+            lines[0] = (
+                f"{name}({count} points along {self.axis} {self.values.min():.6g} to "
+                f"{self.values.max():.6g}, period {self.period})"
+            )
         if self.labels:
             lines.append("  " + ", ".join(f"{k} = {v:g}" for k, v in self.labels.items()))
-        if len(self.values):
+        if count:
             peak = int(np.argmax(self.amplitude_ratio))
-            lines.append(
+            lines += [
                 f"  peak amplitude ratio  {self.amplitude_ratio[peak]:.4f} at "
-                f"{self.values[peak]:.6f}"
-            )
-            lines.append(
-                f"  stable                {self.stable.sum()} of {len(self.values)} points"
-            )
+                f"{self.values[peak]:.6f}",
+                f"  stable                {self.stable.sum()} of {count} points",
+            ]
         lines += [f"  {point!r}" for point in self.special_points[:8]]
         if len(self.special_points) > 8:
             lines.append(f"  and {len(self.special_points) - 8} special points more")

@@ -2,21 +2,20 @@
 
 from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 
 from vibrojax._tools.described import in_short
-from vibrojax.branches.finishing import ratios_of
-from vibrojax.branches.lane_paths import references
 from vibrojax.branches.points import CURVES, BranchPoints
-from vibrojax.branches.tracing import exact_from, make_exact
-from vibrojax.results.variables import VARIABLES, axis_description
+from vibrojax.branches.readings import Columns, columns_of
+from vibrojax.branches.tracing import held_from, make_exact
+from vibrojax.results.variables import axis_description, described_as
 from vibrojax.steady.balanced_motion import read_all, solve_all
-from vibrojax.steady.exact_point import ExactPoint, Guess
+from vibrojax.steady.batches import take
 
 if TYPE_CHECKING:
     import xarray
 
+READ = (*CURVES, "stable", "initial_state")
 CREEPS = 8
 """Tries to close in on a value where the branch is steep."""
 
@@ -33,8 +32,10 @@ def resample(branch: BranchPoints, values: Any) -> "xarray.Dataset":
     at, which, first, share = _crossings(branch, values)
     crossings = int(which.max(initial=-1)) + 1
     shape = (len(values), crossings)
-    columns = {name: np.full(shape, np.nan) for name in (*CURVES, "stable")}
-    states = np.full((*shape, branch.initial_state.shape[1]), np.nan)
+    states = branch.initial_state.shape[1:]
+    columns: Columns = {
+        name: np.full(shape + (states if name == "initial_state" else ()), np.nan) for name in READ
+    }
     # What is a point of the branch already, as the ends of its range are, is not solved again.
     known = (share == 0) | (share == 1)
     for part, read in ((known, _points), (~known, _solve)):
@@ -43,20 +44,11 @@ def resample(branch: BranchPoints, values: Any) -> "xarray.Dataset":
             found = read(branch, values[at[part]], first[part], share[part])
             for name, column in columns.items():
                 column[place] = found[name]
-            states[place] = found["initial_state"]
-    units = {"ratio": branch.ratio_units}
-
-    def described(name: str) -> dict[str, str]:
-        unit, long_name = VARIABLES[name]
-        return {"units": units.get(unit, unit), "long_name": long_name}
-
     dims = (branch.axis, "crossing")
-    data: dict[str, Any] = {n: (dims, c, described(n)) for n, c in columns.items()}
-    described_state = {
-        "units": "m, m/s",
-        "long_name": "Modal displacements, then velocities, at phase 0",
+    data: dict[str, Any] = {
+        n: (dims + ("state",) * (c.ndim - 2), c, described_as(n, branch.ratio_units))
+        for n, c in columns.items()
     }
-    data["initial_state"] = ((*dims, "state"), states, described_state)
     coordinates: dict[str, Any] = {
         branch.axis: (branch.axis, values, axis_description(branch.axis)),
         "crossing": np.arange(crossings),
@@ -67,18 +59,15 @@ def resample(branch: BranchPoints, values: Any) -> "xarray.Dataset":
 def _crossings(branch: BranchPoints, values: np.ndarray):
     """Where the branch passes each value: value, times before, point before, way to the next."""
     x = branch.values
-    at, which, first, shares = [], [], [], []
+    rows = []
     for k, value in enumerate(values):
         inside = (np.minimum(x[:-1], x[1:]) <= value) & (value < np.maximum(x[:-1], x[1:]))
         if len(x) and value == x[-1] and not inside[-1:].any():
             inside[-1:] = x[-2:-1] != x[-1]
         for count, i in enumerate(np.flatnonzero(inside)):
-            share = (value - x[i]) / (x[i + 1] - x[i])
-            at.append(k)
-            which.append(count)
-            first.append(i)
-            shares.append(share)
-    return np.array(at, int), np.array(which, int), np.array(first, int), np.array(shares)
+            rows.append((k, count, i, (value - x[i]) / (x[i + 1] - x[i])))
+    at, which, first = np.array([row[:3] for row in rows], int).reshape(-1, 3).T
+    return at, which, first, np.array([row[3] for row in rows])
 
 
 def _interpolated(branch: BranchPoints, i: int, share: float) -> np.ndarray:
@@ -92,11 +81,12 @@ def _interpolated(branch: BranchPoints, i: int, share: float) -> np.ndarray:
     if not (np.all(step > 0) or np.all(step < 0)) or np.ptp(np.abs(step)) > 3 * np.abs(step).min():
         return line
     value = x[i] + share * (x[i + 1] - x[i])
-    weights = [
-        np.prod([(value - b) / (a - b) for j, b in enumerate(nodes) if j != k])
-        for k, a in enumerate(nodes)
-    ]
-    return np.einsum("k,k...->...", weights, depth[i - 1 : i + 3])
+    return np.einsum("k,k...->...", polynomial_weights(nodes, value), depth[i - 1 : i + 3])
+
+
+def polynomial_weights(nodes: np.ndarray, value: float) -> np.ndarray:
+    """Return the weight of each node in the polynomial through all of them, at a value."""
+    return np.array([np.prod([(value - b) / (a - b) for b in nodes if b != a]) for a in nodes])
 
 
 def _exactly(branch: BranchPoints, values, first, share, depth):
@@ -110,7 +100,7 @@ def _exactly(branch: BranchPoints, values, first, share, depth):
     x, i = branch.values, first[left]
     low, high = np.zeros(len(left)), np.ones(len(left))
     below, above = x[i] - values[left], x[i + 1] - values[left]
-    close = Guess(point.events, point.orbit, np.zeros(len(point.valid), bool))
+    near = take(point, left)
     for turn in range(CREEPS):
         middle = np.clip(low - below * (high - low) / (above - below), low, high)
         middle = np.where(turn % 3 == 2, (low + high) / 2, middle)
@@ -122,64 +112,40 @@ def _exactly(branch: BranchPoints, values, first, share, depth):
         same = value * below > 0
         low, below = np.where(same, middle, low), np.where(same, value, below)
         high, above = np.where(same, high, middle), np.where(same, above, value)
-        close = Guess(near.events, near.orbit, np.ones(len(left), bool))
-    point = _replaced(branch, point, left, close, values)
+    near = near._replace(valid=np.ones(len(left), bool))
+    point = held_from(branch.path, lane, point, left, near, values, period)
     # Next to a resonance without damping samples do not determine the state: from the points.
     for way in (0, 1):
         left = np.flatnonzero(~point.valid)
         if len(left):
             i = first[left] + way
             near = make_exact(branch.path, lane[left], branch.depth[i], x[i], period=period)
-            close = Guess(near.events, near.orbit, near.valid)
-            point = _replaced(branch, point, left, close, values)
+            point = held_from(branch.path, lane, point, left, near, values, period)
     return point
 
 
-def _replaced(branch: BranchPoints, point: ExactPoint, which, guess: Guess, values) -> ExactPoint:
-    """Put the motions found from guesses in the place of some points."""
-    lane = np.zeros(len(which), int)
-    found = exact_from(branch.path, lane, guess, values[which], period=branch.period, hold=True)
-
-    def put(a, b):
-        a = np.array(a)
-        a[which] = b
-        return a
-
-    return jax.tree.map(put, point, found)
-
-
-def _points(branch: BranchPoints, values, first, share) -> dict[str, np.ndarray]:
+def _points(branch: BranchPoints, values, first, share) -> Columns:
     """Read points of the branch itself."""
     index = first + share.astype(int)
-    return {n: np.asarray(getattr(branch, n))[index] for n in (*CURVES, "stable", "initial_state")}
+    return {name: np.asarray(getattr(branch, name))[index] for name in READ}
 
 
-def _solve(branch: BranchPoints, values, first, share) -> dict[str, np.ndarray]:
+def _solve(branch: BranchPoints, values, first, share) -> Columns:
     """Solve at the values held fixed; NaN where no motion is found near the branch."""
     lane = np.zeros(len(values), int)
     places = zip(first.tolist(), share.tolist(), strict=True)
     depth = np.array([_interpolated(branch, i, s) for i, s in places])
     if branch.exact:
-        point = _exactly(branch, values, first, share, depth)
-        r, multipliers, good = point.reading, point.multipliers, point.valid
-        residual = point.residual
+        motion = _exactly(branch, values, first, share, depth)
+        good = motion.valid
     else:
         depth, good = solve_all(branch.path, lane, depth, values, period=branch.period)
-        r = read_all(branch.path, lane, depth, values, period=branch.period)
-        multipliers, residual = r.multipliers, r.residual
-    reference, _ = references(branch.path, lane, values)
-    leading = np.max(np.abs(multipliers), axis=1)
-    solved = {
-        **ratios_of(r._asdict(), reference),
-        "contact_force": r.contact_force,
-        "contact_fraction": r.contact_fraction,
-        "contacts_per_period": r.contacts / branch.period,
-        "leading_multiplier": leading,
-        "residual": residual,
-        "stable": (leading < 1).astype(float),
-        "initial_state": r.initial_state,
-    }
+        motion = read_all(branch.path, lane, depth, values, period=branch.period)
+    columns = columns_of(branch.path, lane, values, motion, branch.period)
+    leading = np.max(np.abs(columns["floquet_multipliers"]), axis=1)
+    columns |= {"leading_multiplier": leading, "stable": (leading < 1).astype(float)}
     return {
-        n: np.where(good.reshape((-1,) + (1,) * (np.ndim(v) - 1)), v, np.nan)
-        for n, v in solved.items()
+        n: np.where(good if c.ndim == 1 else good[:, None], c, np.nan)
+        for n, c in columns.items()
+        if n in READ
     }

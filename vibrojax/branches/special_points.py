@@ -8,13 +8,15 @@ same again.
 from itertools import pairwise
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Complex, Float
 
-from vibrojax.branches.tracing import make_exact
+from vibrojax._tools.compiled import compiled
+from vibrojax.branches.points import SpecialPoint
+from vibrojax.branches.readings import Columns, columns_of
+from vibrojax.branches.tracing import make_exact, put
 from vibrojax.steady.batches import in_batches, take
 from vibrojax.steady.condensed import receptance
 from vibrojax.steady.exact_point import ExactPoint
@@ -22,37 +24,72 @@ from vibrojax.steady.paths import AbstractPath, FrequencyPath, localise
 
 SAMPLES = 16
 """Motions looked at in each round of refinement."""
-ROUNDS = 2
+SNAP = 2e-3
+"""Largest relative distance of a fold from the touch that it is put on."""
+REACH = 3
+"""Farthest that the touch may lie along the branch, in points."""
 
 
-class Found(NamedTuple):
-    """Special points of all lanes, refined."""
+def special_points(
+    paths: AbstractPath, columns: list[Columns], depth: list[np.ndarray], period: int, exact: bool
+) -> list[tuple[SpecialPoint, ...]]:
+    """Find the special points of every branch, refined where its motions are exact."""
+    points: list[list[SpecialPoint]] = [[] for _ in columns]
+    brackets: list[Bracket] = []
+    for k, own in enumerate(columns):
+        sound = own["exact_points"] if exact else np.ones(len(own["values"]), bool)
+        brackets += _brackets(k, own["values"], own["floquet_multipliers"], sound)
+    if exact:
+        # Lanes that fell back on another resolution have spectra of another length.
+        for size in sorted({depth[b.lane].shape[-1] for b in brackets}):
+            alike = [b for b in brackets if depth[b.lane].shape[-1] == size]
+            for lane, point in _refined(paths, columns, depth, alike, period):
+                points[lane].append(point)
+    else:
+        for b in brackets:
+            own = columns[b.lane]
+            both = own["floquet_multipliers"][b.at : b.at + 2]
+            if b.kind != "neimark_sacker" or on_circle(both, 0.1, 1e-3).any():
+                points[b.lane].append(_unrefined(b, own))
+    for k, own in enumerate(columns):
+        if period == 1 and len(own["values"]):
+            points[k] += _first_touches(paths, k, own["values"], own["contact_fraction"] > 0)
+        if exact:
+            folds = [b.at for b in brackets if b.kind == "fold" and b.lane == k]
+            points[k] = _cornered(points[k], folds, own["values"])
+    return [tuple(sorted(found, key=lambda p: p.after)) for found in points]
 
-    kind: list[str]
-    lane: np.ndarray
-    after: np.ndarray
-    """Index of the branch point before which it lies."""
-    parameter: np.ndarray
-    point: ExactPoint
-    """The motions themselves."""
+
+def _special_point(kind: str, parameter: float, columns: Columns, row: int, after: int):
+    return SpecialPoint(
+        kind,
+        float(parameter),
+        float(columns["amplitude_ratio"][row]),
+        float(columns["contact_force"][row]),
+        columns["initial_state"][row],
+        after,
+    )
 
 
-def doubling_test(multipliers: np.ndarray) -> np.ndarray:
+def doubling_test(
+    multipliers: Complex[np.ndarray, "... states"],
+) -> Float[np.ndarray, "..."]:
     """Zero where a multiplier is -1."""
     return np.prod(1 + multipliers, axis=-1).real
 
 
-def torus_test(multipliers: np.ndarray) -> np.ndarray:
+def torus_test(multipliers: Complex[np.ndarray, "... states"]) -> Float[np.ndarray, "..."]:
     """Zero where two multipliers have the product 1, as a pair on the unit circle has."""
     i, j = np.triu_indices(multipliers.shape[-1], 1)
     return np.prod(1 - multipliers[..., i] * multipliers[..., j], axis=-1).real
 
 
-def on_circle(multipliers: np.ndarray) -> np.ndarray:
+def on_circle(
+    multipliers: Complex[np.ndarray, "... states"], near: float = 1e-3, turned: float = 1e-4
+) -> Bool[np.ndarray, "..."]:
     """Whether a complex pair is on the unit circle, near enough to be no real pair."""
-    near = np.abs(np.abs(multipliers) - 1) < 1e-3
-    turned = np.abs(np.imag(multipliers)) > 1e-4
-    return np.any(near & turned, axis=-1)
+    close = np.abs(np.abs(multipliers) - 1) < near
+    return np.any(close & (np.abs(np.imag(multipliers)) > turned), axis=-1)
 
 
 class Bracket(NamedTuple):
@@ -64,7 +101,7 @@ class Bracket(NamedTuple):
     """Index of the middle point (fold) or of the first of the two."""
 
 
-def brackets_of(
+def _brackets(
     lane: int, parameter: np.ndarray, multipliers: np.ndarray, sound: np.ndarray
 ) -> list[Bracket]:
     """Find between which points of a branch special ones lie.
@@ -89,102 +126,90 @@ def brackets_of(
     return found
 
 
-def _between(depth, parameter, s):
-    """Quadratic through three neighbours at -1, 0 and 1."""
-    weight = np.array([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2])
-    return np.einsum("k...,k->...", depth, weight), parameter @ weight
-
-
-def refine(
+def _refined(
     paths: AbstractPath,
-    branches: list[tuple[np.ndarray, np.ndarray]],
+    columns: list[Columns],
+    depth: list[np.ndarray],
     brackets: list[Bracket],
     period: int,
-) -> Found | None:
-    """Refine special points of branches given as (parameter, depth) of each lane."""
-    usable = []
-    for b in brackets:
-        parameter, depth = branches[b.lane]
-        middle = min(max(b.at, 1), len(parameter) - 2)
-        if middle < 1:
-            continue
-        near = slice(middle - 1, middle + 2)
-        low = -1.0 if b.kind == "fold" else float(b.at - middle)
-        high = 1.0 if b.kind == "fold" else low + 1.0
-        usable.append((b, parameter[near], depth[near], low, high))
-    if not usable:
-        return None
-    lanes = np.array([u[0].lane for u in usable])
-    low, high = np.array([u[3] for u in usable]), np.array([u[4] for u in usable])
-    keep, best = np.ones(len(usable), bool), np.zeros(len(usable))
+) -> list[tuple[int, SpecialPoint]]:
+    """Refine special points, each with its lane; those that are none are left out."""
+    kinds, lanes = [b.kind for b in brackets], np.array([b.lane for b in brackets])
+    fold = np.array(kinds) == "fold"
+    at = np.array([b.at for b in brackets])
+    # Places along the branch are counted in points, from the middle one of three neighbours.
+    middle = np.clip(at, 1, np.array([len(columns[k]["values"]) for k in lanes]) - 2)
+    near = [slice(m - 1, m + 2) for m in middle]
+    three_depths = np.stack([depth[k][n] for k, n in zip(lanes, near, strict=True)])
+    three_values = np.stack([columns[k]["values"][n] for k, n in zip(lanes, near, strict=True)])
+    low = np.where(fold, -1.0, at - middle)
+    high = np.where(fold, 1.0, low + 1.0)
+    keep, best = np.ones(len(brackets), bool), np.zeros(len(brackets))
 
-    def solve(places):  # (special points, places)
-        count = places.shape[1]
-        made = [_between(u[2], u[1], s) for u, row in zip(usable, places, strict=True) for s in row]
-        depth, parameter = np.stack([m[0] for m in made]), np.array([m[1] for m in made])
-        return make_exact(paths, np.repeat(lanes, count), depth, parameter, period=period)
+    def solve(s: Float[np.ndarray, "brackets places"]) -> ExactPoint:
+        """Solve for motions from the quadratic through the neighbours at -1, 0 and 1."""
+        weight = np.stack([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2], axis=-1)
+        depth = np.einsum("bk...,bsk->bs...", three_depths, weight)
+        values = np.einsum("bk,bsk->bs", three_values, weight).ravel()
+        lane = np.repeat(lanes, s.shape[1])
+        return make_exact(paths, lane, depth.reshape(-1, *depth.shape[2:]), values, period=period)
 
-    def look_and_narrow():
+    def look() -> tuple[ExactPoint, np.ndarray, np.ndarray]:
+        """Solve for motions at places between the ends, and narrow the ends around the point."""
         places = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, SAMPLES)
         samples = solve(places)
         p = np.where(samples.valid, samples.parameter, np.nan).reshape(places.shape)
-        m = samples.multipliers.reshape(*places.shape, -1)
-        for k, (b, *_) in enumerate(usable):
-            low[k], high[k], best[k], ok = _narrow(b.kind, places[k], p[k], m[k])
-            keep[k] &= ok
-        return places, samples, p
+        m = np.asarray(samples.multipliers).reshape(*places.shape, -1)
+        for k, kind in enumerate(kinds):
+            low[k], high[k], best[k], seen = _narrow(kind, places[k], p[k], m[k])
+            keep[k] &= seen
+        return samples, places, p
 
-    for _ in range(ROUNDS - 1):
-        look_and_narrow()
-    places, samples, p = look_and_narrow()
-    for k, (b, *_) in enumerate(usable):
-        if b.kind == "fold":
-            best[k] = _vertex(places[k], p[k], best[k])
-    points = _or_best_sample(solve(best[:, None]), samples, SAMPLES, usable)
-    keep &= points.valid
-    torus = np.array([u[0].kind == "neimark_sacker" for u in usable])
-    keep &= ~torus | on_circle(np.asarray(points.multipliers))
-    chosen = np.flatnonzero(keep)
-    # Twins: one fold seen from two brackets.
-    order = sorted(chosen, key=lambda k: (lanes[k], usable[k][0].at, points.parameter[k]))
-    final, seen = [], set()
-    for k in order:
-        key = (usable[k][0].kind, int(lanes[k]), round(float(points.parameter[k]), 9))
-        if key not in seen:
-            seen.add(key)
-            final.append(k)
-    if not final:
-        return None
-    index = np.array(final)
-    return Found(
-        kind=[usable[k][0].kind for k in final],
-        lane=lanes[index],
-        after=np.array([usable[k][0].at for k in final]),
-        parameter=np.asarray(points.parameter)[index],
-        point=take(points, index),
-    )
+    look()
+    samples, places, p = look()
+    for k in np.flatnonzero(fold):
+        best[k] = _vertex(places[k], p[k], best[k])
+    points = _or_best_sample(solve(best[:, None]), samples, fold)
+    turned = on_circle(np.asarray(points.multipliers))
+    keep &= points.valid & (turned | (np.array(kinds) != "neimark_sacker"))
+    # One fold can be seen from two brackets.
+    found: dict[tuple[str, int, float], int] = {}
+    rows = np.flatnonzero(keep)
+    for k in sorted(rows.tolist(), key=lambda k: (lanes[k], at[k], points.parameter[k])):
+        found.setdefault((kinds[k], int(lanes[k]), round(float(points.parameter[k]), 9)), k)
+    if not found:
+        return []
+    rows = np.array(list(found.values()))
+    points = take(points, rows)
+    own = columns_of(paths, lanes[rows], points.parameter, points, period)
+    return [
+        (lane, _special_point(kind, own["values"][j], own, j, int(at[rows[j]])))
+        for j, (kind, lane, _) in enumerate(found)
+    ]
 
 
-def _or_best_sample(points, samples, count, usable) -> ExactPoint:
+def _unrefined(bracket: Bracket, columns: Columns) -> SpecialPoint:
+    """Point of a balanced branch: the vertex of a parabola, or the middle of a step."""
+    values, at = columns["values"], bracket.at
+    if bracket.kind == "fold":
+        parameter = parabola_vertex(*values[at - 1 : at + 2].tolist())
+    else:
+        parameter = (values[at] + values[at + 1]) / 2
+    return _special_point(bracket.kind, parameter, columns, at, at)
+
+
+def _or_best_sample(points: ExactPoint, samples: ExactPoint, fold: np.ndarray) -> ExactPoint:
     """Where the last motion failed (a corner, at a touch) take the best of the samples before."""
-    chosen = []
-    for k, (b, *_rest) in enumerate(usable):
-        rows = np.arange(k * count, (k + 1) * count)
+    chosen = np.full(len(fold), -1)
+    for k in np.flatnonzero(fold & ~points.valid):
+        rows = np.arange(k * SAMPLES, (k + 1) * SAMPLES)
         rows = rows[samples.valid[rows]]
-        if points.valid[k] or b.kind != "fold" or len(rows) < 3:
-            chosen.append(-1)
-            continue
-        p = samples.parameter[rows]
-        up = np.max(p) - max(p[0], p[-1]) >= min(p[0], p[-1]) - np.min(p)
-        chosen.append(int(rows[np.argmax(p) if up else np.argmin(p)]))
-    chosen = np.array(chosen)
-    take_from = np.maximum(chosen, 0)
-
-    def pick(a, b):
-        use = (chosen >= 0).reshape((-1,) + (1,) * (np.ndim(a) - 1))
-        return np.where(use, b[take_from], a)
-
-    return jax.tree.map(pick, points, samples)
+        if len(rows) >= 3:
+            p = samples.parameter[rows]
+            up = np.max(p) - max(p[0], p[-1]) >= min(p[0], p[-1]) - np.min(p)
+            chosen[k] = rows[np.argmax(p) if up else np.argmin(p)]
+    at = np.flatnonzero(chosen >= 0)
+    return put(points, take(samples, chosen[at]), at)
 
 
 def _narrow(kind, place, parameter, multipliers):
@@ -267,27 +292,53 @@ def touch_near(path: AbstractPath, parameter: Float[Array, ""]) -> Touch:
     return Touch(p, amplitude, jnp.abs(clearance(p)) < 1e-9)
 
 
-_touch = eqx.filter_jit(jax.vmap(touch_near))
+@compiled
+def _touches_near(paths: AbstractPath, near: Float[Array, " touches"]) -> Touch:
+    return jax.vmap(touch_near)(paths, near)
 
 
-def first_touches(
+def _first_touches(
     paths: AbstractPath, lane: int, parameter: np.ndarray, touching: np.ndarray
-) -> list[tuple[int, float, float]]:
-    """Where flight and contact meet: the point before, the parameter, the amplitude ratio."""
+) -> list[SpecialPoint]:
+    """Find where flight and contact meet along a branch."""
     change = np.flatnonzero(touching[:-1] != touching[1:])
     if not len(change):
         return []
-    free = np.where(touching[change], change + 1, change)
-    paths, found = jax.device_get(paths), parameter[free]
-    amplitude, good = np.zeros(len(free)), np.zeros(len(free), bool)
+    paths, near = jax.device_get(paths), parameter[np.where(touching[change], change + 1, change)]
+
+    def touch(i):
+        here = localise(paths, np.full(len(i), lane), near[i], False)
+        return _touches_near(here, jnp.asarray(near[i]))
+
+    touches = in_batches(touch, len(change))
     # A path other than that of the frequency is only known to first order near a value.
-    for _ in range(1 if isinstance(paths, FrequencyPath) else 4):
-        now = found
+    for _ in range(0 if isinstance(paths, FrequencyPath) else 3):
+        near = touches.parameter
+        touches = in_batches(touch, len(change))
+    rows = zip(change.tolist(), *map(np.ndarray.tolist, touches), strict=True)
+    return [SpecialPoint("grazing", p, a, 0.0, None, i) for i, p, a, good in rows if good]
 
-        def touch(i, now=now):
-            near = localise(paths, np.full(len(i), lane), now[i], False)
-            return _touch(near, jnp.asarray(now[i]))
 
-        found, amplitude, good = in_batches(touch, len(change))
-    rows = zip(change.tolist(), found.tolist(), amplitude.tolist(), good, strict=True)
-    return [(i, p, a) for i, p, a, ok in rows if ok]
+def _cornered(
+    points: list[SpecialPoint], brackets: list[int], values: np.ndarray
+) -> list[SpecialPoint]:
+    """Put folds that are corners at a touch on the touch itself.
+
+    Where contact begins, a branch can turn round at once: then its extreme is the touch, and no
+    smooth fold beyond it was found.
+    """
+    touches = [p for p in points if p.kind == "grazing"]
+    kept = [p for p in points if p.kind != "fold"]
+    smooth = {p.after: p for p in points if p.kind == "fold"}
+    for at in brackets:
+        fold = smooth.get(at)
+        way = 1.0 if values[at] >= values[max(at - 1, 0) : at + 2].max() else -1.0
+        extreme = values[at] if fold is None else fold.parameter
+        for touch in touches:
+            beyond, size = way * (touch.parameter - extreme), abs(touch.parameter)
+            if abs(touch.after - at) <= REACH and -1e-9 * size < beyond < SNAP * size:
+                fold = SpecialPoint("fold", touch.parameter, touch.amplitude_ratio, 0.0, None, at)
+        known = [p.parameter for p in kept if p.kind == "fold"]
+        if fold is not None and fold.parameter not in known:
+            kept.append(fold)
+    return kept

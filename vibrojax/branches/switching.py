@@ -1,26 +1,23 @@
 """From a period doubling to the branch of twice the period."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.branches.continuation import LONGEST_STEP, Ending
-from vibrojax.branches.plan import Plan, Resolution
+from vibrojax._tools.compiled import compiled
+from vibrojax.branches.continuation import Ending
+from vibrojax.branches.finishing import finish
+from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import BranchPoints
+from vibrojax.branches.settings import ContinuationSettings
 from vibrojax.branches.tracing import Traced
-from vibrojax.branches.work import BranchWork
 from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath
 from vibrojax.steady.starting import sampled_depth, stepper
 
 
 def switch_branch(
-    branch: BranchPoints,
-    number: int,
-    *,
-    max_points: int = 2000,
-    longest_step: float = LONGEST_STEP,
+    branch: BranchPoints, number: int, settings: ContinuationSettings
 ) -> BranchPoints:
     """Follow the doubled period from a period doubling; see `Branch.switch`."""
     points = [p for p in branch.special_points if p.kind == "period_doubling"]
@@ -41,30 +38,27 @@ def switch_branch(
         labels=[branch.labels],
         period=2 * branch.period,
         exact=True,
-        resolution=Resolution(int(branch.attributes["samples"])),
-        max_points=max_points,
-        longest_step=longest_step,
+        samples=int(branch.attributes["samples"]),
+        harmonics=None,
+        max_points=settings.max_points,
+        longest_step=settings.longest_step,
         ratio_units=branch.ratio_units,
         description=branch.attributes["rig"],
     )
     value, state = np.array([point.parameter]), jnp.asarray(point.initial_state)
-    both = state, _moved(branch.path, value, state, branch.period)
-    samples = plan.resolution.samples * plan.period
+    samples, period = plan.samples * plan.period, plan.period
     base, moved = (
-        np.asarray(
-            sampled_depth(branch.path, jnp.asarray(value), s[None], samples, plan.period, True)
-        )
-        for s in both
+        np.asarray(sampled_depth(branch.path, value, s[None], samples, period, True))
+        for s in (state, _moved(branch.path, value, state, branch.period))
     )
     # The doubled motion leaves along the mode that changes sign from period to period.
     odd = np.arange(base.shape[-1]) % 2 == 1
     tangent = (moved - base) * odd
-    work = BranchWork(plan, branch.path)
-    (traced,) = work.trace(branch.path, base * ~odd, value, tangent=tangent)
-    return work.finished([_until_joined(traced, tangent[0])], [""])[0]
+    (traced,) = plan.trace(branch.path, value, base * ~odd, tangent=tangent)
+    return finish(plan, branch.path, [_until_joined(traced, tangent[0])], [""])[0]
 
 
-@eqx.filter_jit
+@compiled
 def _moved(paths: AbstractPath, value, state, period):
     """Return a state moved a little along the multiplier of -1 of its motion."""
     place = take(paths, 0).at(value[0])
@@ -88,10 +82,5 @@ def _until_joined(traced: Traced, tangent: np.ndarray) -> Traced:
     back = np.flatnonzero(along <= 0)
     if not len(back):
         return traced
-    end = int(back[0])
-    return traced._replace(
-        parameter=traced.parameter[:end],
-        depth=traced.depth[:end],
-        direction=traced.direction[:end],
-        ending=Ending.joined,
-    )
+    values, depth, change = (part[: back[0]] for part in traced[:3])
+    return Traced(values, depth, change, Ending.joined, traced.ticks)

@@ -1,20 +1,16 @@
-"""Branches of many lanes from first guess to exact points: the work of `continue_response`.
+"""What is traced of a branch, and its points made exact."""
 
-A few lanes at a time run in one compiled loop (wider loops are no faster); a lane that ends makes
-room for the next one.
-"""
+from typing import Any, NamedTuple
 
-from typing import NamedTuple
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
-from vibrojax.branches.continuation import Ending, Settings, Trace, follow
-from vibrojax.steady.batches import REPAIRS, in_batches, take
+from vibrojax.branches.continuation import Ending
+from vibrojax.steady.batches import BATCH, REPAIRS, in_batches, take
 from vibrojax.steady.condensed import (
     balance,
     cell_average,
@@ -22,15 +18,12 @@ from vibrojax.steady.condensed import (
     differentiate,
     state_of,
 )
-from vibrojax.steady.contact_times import MOST_EVENTS, Orbit
+from vibrojax.steady.contact_times import Orbit
 from vibrojax.steady.exact_point import ExactPoint, Guess, exact_point
-from vibrojax.steady.orbit_reading import find_crossings, state_at
+from vibrojax.steady.orbit_reading import Crossings, find_crossings, state_at
 from vibrojax.steady.paths import AbstractPath, FrequencyPath, localise
+from vibrojax.stepping.measures import MOST_EVENTS
 from vibrojax.stepping.resonance import is_unbounded, undamped_at
-
-WIDTHS = (1, 32)
-"""Lanes in one loop; the number compiled is the least of these that holds them all."""
-TICKS = 64
 
 
 class Traced(NamedTuple):
@@ -44,20 +37,7 @@ class Traced(NamedTuple):
     ticks: int
 
 
-@eqx.filter_jit
-def _follow(paths, settings, trace, samples, period, harmonics):
-    return follow(
-        paths,
-        settings,
-        trace,
-        samples=samples,
-        period=period,
-        harmonics=harmonics,
-        ticks=TICKS,
-    )
-
-
-@eqx.filter_jit
+@compiled
 def free_motion(paths: AbstractPath, parameter, samples: int, period: int):
     """Averaged depths without contact, of every lane: the first guess. NaN where it is endless."""
 
@@ -73,110 +53,45 @@ def free_motion(paths: AbstractPath, parameter, samples: int, period: int):
     return jax.vmap(one)(paths, parameter)
 
 
-def trace_branches(
-    paths: AbstractPath,
-    settings: Settings,
-    start: Trace,
-    *,
-    samples: int,
-    period: int = 1,
-    harmonics: int | None = None,
-    max_points: int = 2000,
-    widths: tuple[int, ...] = WIDTHS,
-) -> list[Traced]:
-    """Follow the branch of every lane; lanes that end make room for those that wait."""
-    lanes = start.parameter.shape[0]
-    width = next((w for w in widths if w >= lanes), widths[-1])
-    waiting = list(range(lanes))
-    places: list[int | None] = [None] * width
-    found: dict[int, list] = {lane: [] for lane in range(lanes)}
-    done: dict[int, Traced] = {}
-    # Lanes are put in and taken out on the host: single operations on a device cost more.
-    paths, settings, start = jax.device_get((paths, settings, start))
-    trace = take(start, np.zeros(width, int))
-    trace = trace._replace(status=np.full(width, Ending.completed.value, np.int32))
-    index = np.zeros(width, int)
-    here = None
-    while len(done) < lanes:
-        for place in range(width):
-            if places[place] is None and waiting:
-                lane = waiting.pop(0)
-                places[place], index[place] = lane, lane
-                trace, here = jax.device_get(trace), None
-                trace = _put(trace, take(start, np.array([lane])), np.array([place]))
-        if here is None:
-            chosen = Settings(*(s if s.ndim == 0 else s[index] for s in settings))
-            here = jax.device_put((take(paths, index), chosen))
-        trace, points = _follow(*here, trace, samples, period, harmonics)
-        accepted = np.asarray(points.accepted)
-        columns = [np.asarray(a) for a in (points.parameter, points.depth, points.direction)]
-        status, ticks = np.asarray(trace.status), np.asarray(trace.ticks)
-        for place, lane in enumerate(places):
-            if lane is None:
-                continue
-            kept = accepted[:, place]
-            found[lane].append([c[kept, place] for c in columns])
-            count = sum(len(part[0]) for part in found[lane])
-            ending = Ending(int(status[place]))
-            over = count > max_points or ticks[place] > 8 * max_points
-            if ending is not Ending.running or over:
-                parameter, depth, direction = (
-                    np.concatenate(part) for part in zip(*found[lane], strict=True)
-                )
-                done[lane] = Traced(parameter, depth, direction, ending, int(ticks[place]))
-                places[place] = None
-                if over:
-                    stopped = np.array(trace.status)
-                    stopped[place] = Ending.stuck.value
-                    trace = trace._replace(status=stopped)
-    return [done[lane] for lane in range(lanes)]
+def _guess(found: Crossings, state) -> Guess:
+    return Guess(found.events, Orbit(state, found.times), found.number <= MOST_EVENTS)
 
 
-@eqx.filter_jit
-def _crossings(depth, change, period):
-    return jax.vmap(lambda d, c: find_crossings(d, c, MOST_EVENTS, period))(depth, change)
-
-
-@eqx.filter_jit
-def _balanced(paths, depth, parameter, period, harmonics):
-    """Samples of depth and its change, and the spectrum of the force, of balanced motions."""
+@compiled
+def _sampled_guess(paths, depth, parameter, period) -> Guess:
+    """Contact times of balanced motions, and their states at the first of them."""
     samples = 2 * (depth.shape[-1] - 1)
 
     def one(path, depth, parameter):
         place = path.at(parameter)
+        equations, drive, w = place.equations, place.drive, place.angular_frequency
         motion = depth / cell_average(samples, depth.shape[-1])
         both = jnp.stack([motion, differentiate(motion, samples)])
         value, change = jnp.fft.irfft(both, samples)
-        problem = condensed_problem(
-            place.equations,
-            place.drive,
-            place.angular_frequency,
-            samples=samples,
-            period=period,
-            harmonics=harmonics,
-        )
-        per_second = samples / period * place.angular_frequency / (2 * jnp.pi)
-        at = balance(problem, depth, per_second, samples)
-        return value, change, at.force
+        found = find_crossings(value, change, MOST_EVENTS, period)
+        problem = condensed_problem(equations, drive, w, samples=samples, period=period)
+        per_second = samples / period * w / (2 * jnp.pi)
+        force = balance(problem, depth, per_second, samples).force
+        angle = found.events.section
+        state = state_of(equations, drive, w, force, angle, samples=samples, period=period)
+        return _guess(found, state)
 
     return jax.vmap(one)(paths, depth, parameter)
 
 
-@eqx.filter_jit
-def _states(paths, force, parameter, angle, period):
-    samples = 2 * (force.shape[-1] - 1)
+@compiled
+def _guess_again(paths, point: ExactPoint, motion, period) -> Guess:
+    """Contact times of motions that broke their sequence of contacts, as they then come."""
 
-    def one(path, force, parameter, angle):
-        place = path.at(parameter)
-        drive, frequency = place.drive, place.angular_frequency
-        return state_of(
-            place.equations, drive, frequency, force, angle, samples=samples, period=period
-        )
+    def one(path, point, motion):
+        found = find_crossings(point.reading.depth, point.reading.change, MOST_EVENTS, period)
+        tables, section = path.tables(point.parameter), point.events.section
+        return _guess(found, state_at(tables, motion, found.events.section, section, period))
 
-    return jax.vmap(one)(paths, force, parameter, angle)
+    return jax.vmap(one)(paths, point, motion)
 
 
-@eqx.filter_jit
+@compiled
 def _exact(paths, guess, parameter, period, hold):
     def one(path, guess, parameter, hold):
         return exact_point(path.tables, guess, parameter, period, hold=hold)
@@ -184,13 +99,14 @@ def _exact(paths, guess, parameter, period, hold):
     return jax.vmap(one)(paths, guess, parameter, hold)
 
 
-@eqx.filter_jit
-def _states_at(paths, parameter, motion, section, begin, period):
-    def one(path, parameter, motion, section, begin):
-        tables = path.tables(parameter)
-        return state_at(tables, motion, section, begin, period)
-
-    return jax.vmap(one)(paths, parameter, motion, section, begin)
+def make_exact_ahead(paths: FrequencyPath, samples: int, period: int) -> None:
+    """Compile in the background what `make_exact` will run for motions of so many samples."""
+    ones = np.ones(BATCH)
+    here = localise(paths, np.zeros(BATCH, int), ones, exact=True)
+    depth = np.zeros((BATCH, len(paths.equations.stops), samples // 2 + 1), complex)
+    guess = _sampled_guess.ahead(here, depth, ones, period)
+    point, motion = _exact.ahead(here, guess, ones, period, ones > 0)
+    _guess_again.ahead(here, point, motion, period)
 
 
 def make_exact(
@@ -208,22 +124,14 @@ def make_exact(
     Where a motion breaks its sequence of contacts, the sequence is taken from the motion found and
     the search repeated.
     """
-
     paths = jax.device_get(paths)
 
     def guess(i):
         here = localise(paths, lane[i], parameter[i], exact=True)
-        value, change, force = _balanced(here, depth[i], parameter[i], period, None)
-        found = _crossings(value, change, period)
-        state = _states(here, force, parameter[i], found.events.section, period)
-        return _guess(found, state)
+        return _sampled_guess(here, depth[i], parameter[i], period)
 
     guesses = in_batches(guess, len(lane))
     return exact_from(paths, lane, guesses, parameter, period=period, hold=hold)
-
-
-def _guess(found, state) -> Guess:
-    return Guess(found.events, Orbit(state, found.times), found.number <= MOST_EVENTS)
 
 
 def exact_from(
@@ -242,42 +150,55 @@ def exact_from(
     # Every batch has its own stack of paths, so that the number of lanes compiles nothing anew.
     paths = jax.device_get(paths)
 
-    def solve(i, points=None, motions=None):
-        guess, at = take(guesses, i), parameter[i]
-        here = localise(paths, lane[i], at, exact=True)
-        if points is not None:
-            reading, section = points.reading, points.events.section
-            found = _crossings(reading.depth, reading.change, period)
-            there = found.events.section
-            guess = _guess(
-                found,
-                _states_at(here, points.parameter, motions, there, section, period),
-            )
-        return _exact(here, guess, at, period, held[i])
+    def solve(i, before=None):
+        here = localise(paths, lane[i], parameter[i], exact=True)
+        guess = (
+            take(guesses, i) if before is None else _guess_again(here, before[0], before[1], period)
+        )
+        return _exact(here, guess, parameter[i], period, held[i])
 
-    best, motions = in_batches(solve, len(lane))
+    found = in_batches(solve, len(lane))
     for _ in range(REPAIRS):
-        left = np.flatnonzero(~best.valid)
+        left = np.flatnonzero(~found[0].valid)
         if not len(left):
             break
 
-        def repair(i, left=left, best=best, motions=motions):
-            return solve(left[i], take(best, left[i]), take(motions, left[i]))
+        def repair(i, left=left, found=found):
+            return solve(left[i], take(found, left[i]))
 
-        again = in_batches(repair, len(left))
-        best, motions = _put((best, motions), again, left)
+        found = put(found, in_batches(repair, len(left)), left)
+    best = found[0]
     if not isinstance(paths, FrequencyPath) and not held.all():
         # Near its value the path was taken to first order: once more from where the points are.
         guesses = Guess(best.events, best.orbit, np.ones(len(lane), bool))
         parameter = np.where(best.valid, best.parameter, parameter)
-        best, motions = in_batches(solve, len(lane))
+        best, _ = in_batches(solve, len(lane))
     return best
 
 
-def _put(whole, part, at):
-    def put(a, b):
+def held_from(
+    paths: AbstractPath,
+    lane: np.ndarray,
+    points: ExactPoint,
+    at: np.ndarray,
+    near: ExactPoint,
+    parameter: np.ndarray,
+    period: int,
+) -> ExactPoint:
+    """Find some points anew, held at their parameters, from motions near them."""
+    if not len(at):
+        return points
+    guesses = Guess(near.events, near.orbit, near.valid)
+    found = exact_from(paths, lane[at], guesses, parameter[at], period=period, hold=True)
+    return put(points, found, at)
+
+
+def put(whole: Any, part: Any, at: np.ndarray) -> Any:
+    """Return a stacked tree with some lanes replaced."""
+
+    def one(a, b):
         a = np.array(a)
         a[at] = b
         return a
 
-    return jax.tree.map(put, whole, part)
+    return jax.tree.map(one, whole, part)

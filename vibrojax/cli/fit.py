@@ -1,15 +1,20 @@
-"""What `vibrojax fit` is asked, put in order: numbers of a rig, their guesses and bounds."""
+"""What `vibrojax fit` does: numbers of a rig, their guesses and bounds, the curve, the fit."""
 
 import dataclasses
 import inspect
 import re
+import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vibrojax._tools.checks import nearest
+from vibrojax._tools.interrupts import stoppable
+from vibrojax._tools.kinds import LARGEST
+from vibrojax.cli.files import read, target, title, watch_compilation
+from vibrojax.cli.options import Fit
+from vibrojax.ensemble.ranges import Range
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.reading import read_measured_curve
 from vibrojax.model.drives import NoDrive
@@ -27,13 +32,45 @@ _OF_BEAM = (
 )
 _OF_STOP = ("position", "gap")
 _BOUNDS = {
-    "taper": (0.0, 0.99),
-    "mass_ratio": (0.0, np.inf),
-    "gap": (0.0, np.inf),
-    "position": (0.01, 1.0),
-    "damping_ratio": (0.0, np.inf),
+    "taper": Range(0.0, 0.99),
+    "mass_ratio": Range(0.0, LARGEST),
+    "gap": Range(0.0, LARGEST),
+    "position": Range(0.01, 1.0),
+    "damping_ratio": Range(0.0, LARGEST),
 }
 """Bounds of the numbers that make no rig beyond them."""
+
+
+def run_fit(options: Fit) -> int:
+    """Fit numbers of a rig, write report and picture. Raises `ValueError` for wrong input."""
+    started = time.perf_counter()
+    output, fit = options.output, options.fit
+    if output.suffix.lower() not in ("", ".json", ".png"):
+        raise ValueError(f"--output must be a name without ending, or .json, got {str(output)!r}.")
+    if not output.name:
+        raise ValueError(f"--output must be the name of a file, got {str(output)!r}.")
+    data, drawing = output.with_suffix(".json"), output.with_suffix(".png")
+    target("--output", data, (".json",))
+    target("--output", drawing, (".png",))
+    from vibrojax.identification.identify import identify
+
+    if not fit or len(set(fit)) < len(fit):
+        raise ValueError("--fit must name at least one number, and each of them once.")
+    system, _ = read(options.rig, "fit")
+    check_names(system, {name: f"--fit {name}" for name in fit})
+    make = rig_function(system, fit)
+    numbers = guesses(system, fit, options.guess), bounds(fit, options.bounds)
+    measured = read_curve(options)
+    compiling = watch_compilation()
+    how: dict[str, Any] = {"objective": options.objective, "searches": options.searches}
+    found = stoppable(identify, make, measured, *numbers, **how)
+    fitted = time.perf_counter()
+    found.save(data)
+    print(f"{title('Fit', options.rig)} to {options.curve}")
+    print("\n".join(f"  {line}" for line in repr(found).splitlines()))
+    print(f"  time     {fitted - started:.1f} s (compiling {sum(compiling, 0.0):.1f} s)")
+    print(f"  written  {data}, {drawing}")
+    return 0
 
 
 def rig_numbers(system: ImpactingBeam) -> dict[str, float]:
@@ -50,14 +87,8 @@ def rig_numbers(system: ImpactingBeam) -> dict[str, float]:
 
 
 def rig_function(system: ImpactingBeam, names: Sequence[str]) -> Callable[..., ImpactingBeam]:
-    """Return a function of some numbers of a rig, whose defaults are those the rig has.
-
-    Raises `ValueError` for a name that is not among `rig_numbers(system)`.
-    """
+    """Return a function of some numbers of a rig, whose defaults are those the rig has."""
     known = rig_numbers(system)
-    for name in names:
-        if name not in known:
-            raise ValueError(_unknown(name, known, system))
 
     def make(**numbers: Any) -> ImpactingBeam:
         """Return the rig with some numbers changed."""
@@ -92,12 +123,15 @@ def _of(numbers: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
     return {name: numbers[name] for name in names if name in numbers}
 
 
-def _unknown(name: str, known: Mapping[str, float], system: ImpactingBeam) -> str:
-    if name in (*_OF_STOP, *_of_law(KelvinVoigt(0.0))) and not system.stops:
-        return f"--fit {name}: the rig has no stop. Give it a table [[stop]]."
-    if name == "amplitude":
-        return "--fit amplitude: the rig has no drive. Give it a table [drive]."
-    return f"--fit: unknown number {name!r}. {nearest(name, known)}"
+def check_names(system: ImpactingBeam, labels: Mapping[str, str]) -> None:
+    """Raise `ValueError` for a name that is no number of a rig; `labels` say where it was given."""
+    known = rig_numbers(system)
+    for name, where in labels.items():
+        if name in known:
+            continue
+        if name in (*_OF_STOP, *_of_law(KelvinVoigt(0.0))) and not system.stops:
+            raise ValueError(f"{where}: the rig has no stop. Give it a table [[stop]].")
+        raise ValueError(f"{where}: no such number of the rig. {nearest(name, known)}")
 
 
 def pairs(option: str, texts: Sequence[str], example: str) -> dict[str, str]:
@@ -119,12 +153,12 @@ def guesses(system: ImpactingBeam, names: Sequence[str], given: Sequence[str]) -
     by_name = pairs("--guess", given, "stiffness=3000")
     _check_fitted("--guess", by_name, names)
     return {
-        name: _number("--guess", name, by_name[name]) if name in by_name else known[name]
+        name: number(f"--guess of {name}", by_name[name]) if name in by_name else known[name]
         for name in names
     }
 
 
-def bounds(names: Sequence[str], given: Sequence[str]) -> dict[str, tuple[float, float]]:
+def bounds(names: Sequence[str], given: Sequence[str]) -> dict[str, Range]:
     """Return the bounds of the numbers to fit: as given, else where there is no rig beyond."""
     by_name = pairs("--bounds", given, "stiffness=100:1e5")
     _check_fitted("--bounds", by_name, names)
@@ -135,8 +169,8 @@ def bounds(names: Sequence[str], given: Sequence[str]) -> dict[str, tuple[float,
             raise ValueError(
                 f"--bounds must be name=low:high, such as stiffness=100:1e5, got '{name}={text}'."
             )
-        low, high = (_number("--bounds", name, end) for end in ends)
-        found[name] = low, high
+        low, high = (number(f"--bounds of {name}", end) for end in ends)
+        found[name] = Range(low, high)
     return found
 
 
@@ -149,34 +183,27 @@ def _check_fitted(option: str, by_name: Mapping[str, str], names: Sequence[str])
             )
 
 
-def _number(option: str, name: str, text: str) -> float:
+def number(label: str, text: str) -> float:
+    """Return the number that a text is. Raises `ValueError`, with the label, for what is none."""
     try:
         return float(text)
     except ValueError:
-        raise ValueError(f"{option} of {name} must be a number, got {text!r}.") from None
+        raise ValueError(f"{label} must be a number, got {text!r}.") from None
 
 
-def read_curve(
-    path: Path,
-    columns: Sequence[str],
-    units: Sequence[str],
-    quantity: str | None,
-    frame: str | None,
-    decimal: str | None,
-) -> MeasuredCurve:
+def read_curve(options: Fit) -> MeasuredCurve:
     """Read the curve to fit. Raises `ValueError` as `read_measured_curve` does."""
-    named: dict[str, str | int | None] = {}
-    for key, value in pairs("--columns", columns, "frequency=f_Hz").items():
-        named[key] = int(value) if value.isdecimal() else None if value == "none" else value
-    by_name = pairs("--units", units, "amplitude=mm")
+    columns: dict[str, str | int | None] = {}
+    for key, value in pairs("--columns", options.columns, "frequency=f_Hz").items():
+        columns[key] = int(value) if value.isdecimal() else None if value == "none" else value
+    how = {name: getattr(options, name) for name in ("quantity", "frame", "decimal")}
+    units = pairs("--units", options.units, "amplitude=mm")
     try:
-        found = read_measured_curve(
-            path, columns=named, units=by_name, quantity=quantity, frame=frame, decimal=decimal
-        )
+        found = read_measured_curve(options.curve, columns=columns, units=units, **how)
     except ValueError as error:
         raise ValueError(_as_options(str(error))) from None
     if not isinstance(found, MeasuredCurve):
-        raise ValueError(f"{str(path)!r} holds {len(found)} curves: give a file of one.")
+        raise ValueError(f"{str(options.curve)!r} holds {len(found)} curves: give a file of one.")
     return found
 
 

@@ -7,10 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray
 
+from vibrojax.cli.files import FREQUENCIES
 from vibrojax.maps.chunks import Chunks
-from vibrojax.plot.map_axes import coordinates_along, units_of
+from vibrojax.maps.template import FAILED
+from vibrojax.plot.map_axes import units_of
+from vibrojax.results.axes import coordinates_along
 
-_FREQUENCIES = ("frequency_ratio", "frequency")
 _SHOWN = 6
 """Values of an axis that are written out."""
 
@@ -34,8 +36,13 @@ class MapRun(NamedTuple):
 def map_table(title: str, found: xarray.Dataset, run: MapRun) -> str:
     """Return axes, status, range of every measure, times and files of a map."""
     status = found["lane_status"]
-    names = _ranged(found)
-    wide = max(len(row) for row in (*(_labelled(found, n) for n in names), "frequency ratio"))
+    names = [
+        str(name)
+        for name, variable in found.data_vars.items()
+        if variable.dtype.kind == "f" and not set(FREQUENCIES) & set(variable.dims)
+    ]
+    labels = {n: ", ".join(filter(None, (n, units_of(found, n)))) for n in names}
+    wide = max(map(len, (*labels.values(), "frequency ratio")))
     lines = [title]
 
     def say(label: str, text: str) -> None:
@@ -47,20 +54,25 @@ def map_table(title: str, found: xarray.Dataset, run: MapRun) -> str:
         say(" with ".join(along), ", with ".join(texts))
     # Not read off the map: without curves it has no frequencies.
     frequencies = np.atleast_1d(run.frequencies)
-    units = "Hz" if run.axis == "frequency" else ""
-    say(run.axis.replace("_", " "), _values(frequencies, units))
+    say(run.axis.replace("_", " "), _values(frequencies, "Hz" * (run.axis == "frequency")))
     words = str(status.attrs["flag_meanings"]).split()
     counts = {word: int((status.values == k).sum()) for k, word in enumerate(words)}
     shown = [f"{n:,} {word}" for word, n in counts.items() if n or word != "missing"]
     say(f"lanes, {status.size:,}", f"{', '.join(shown)}; each by its worst point")
     if run.known:
-        new = counts[words[0]] + counts[words[1]] + counts[words[2]] - run.known
+        new = int((status.values < FAILED).sum()) - run.known
         left = f"{new:,} computed now" if new else "nothing was left to compute"
         say("", f"{run.known:,} were in the store, {left}")
     chunks = Chunks(status.shape, tuple(json.loads(found.attrs["block"])))
     each = f"{chunks.number:,} of up to {chunks.lanes_per_block:,} lanes"
     say(f"points, {status.size * run.ways * len(frequencies):,}", f"in chunks, {each}")
-    lines += _ranges(found, names, wide)
+    if names:
+        rows = [("", "lanes", "least", "at", "largest", "at")]
+        rows += [(labels[name], *_ends(found, name)) for name in names]
+        columns = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        for label, *row in rows:
+            sides = zip(row, ">><><", columns[1:], strict=True)
+            say(label, "  ".join(f"{text:{side}{width}}" for text, side, width in sides))
     total, compiling, drawing = run.times
     say("time", f"{total:.1f} s (compiling {compiling:.1f} s), drawing {drawing:.1f} s")
     if run.files:
@@ -72,62 +84,30 @@ def map_table(title: str, found: xarray.Dataset, run: MapRun) -> str:
 
 def _values(values: np.ndarray, units: str) -> str:
     """Return the values of an axis, or its ends where they are many."""
+    units = f" {units}" if units else ""
     if len(values) <= _SHOWN:
-        text = ", ".join(_word(value) for value in values)
-    else:
-        text = f"{_word(values[0])} to {_word(values[-1])}"
-    text = f"{text} {units}" if units else text
-    return text if len(values) <= _SHOWN else f"{text}, {len(values)} values"
+        return ", ".join(_word(value) for value in values) + units
+    return f"{_word(values[0])} to {_word(values[-1])}{units}, {len(values)} values"
 
 
 def _word(value: object) -> str:
     return f"{value:.5g}" if isinstance(value, float | np.floating) else str(value)
 
 
-def _ranged(found: xarray.Dataset) -> list[str]:
-    """Return the names of the variables that are no curves."""
-    return [
-        str(name)
-        for name, variable in found.data_vars.items()
-        if variable.dtype.kind == "f" and not set(_FREQUENCIES) & set(variable.dims)
-    ]
-
-
-def _labelled(found: xarray.Dataset, name: str) -> str:
-    units = units_of(found, name)
-    return f"{name}, {units}" if units else name
-
-
-def _ranges(found: xarray.Dataset, names: Sequence[str], wide: int) -> list[str]:
-    """Return a line for every measure: its least and largest value, and where they are."""
-    rows = [("", "lanes", "least", "at", "largest", "at")]
-    for name in names:
-        variable = found[name]
-        values = variable.values  # read once: it may lie on disk
-        there = np.isfinite(values)
-        inner = tuple(k for k, d in enumerate(variable.dims) if d not in found["lane_status"].dims)
-        lanes = f"{int(there.any(axis=inner).sum()):,}"
-        label = _labelled(found, name)
-        if not there.any():
-            rows.append((label, lanes, "none", "", "", ""))
-            continue
-        ends = []
-        for pick in (np.nanargmin, np.nanargmax):
-            place = np.unravel_index(int(pick(np.where(there, values, np.nan))), values.shape)
-            ends += [f"{values[place]:.5g}", _where(found, variable, place)]
-        if ends[0] == ends[2]:
-            ends[1:] = ["everywhere", "", ""]
-        rows.append((label, lanes, *ends))
-    if not names:
-        return []
-    columns = [max(len(row[k]) for row in rows) for k in range(6)]
-    return [
-        (
-            f"  {a:{wide}}  {b:>{columns[1]}}  {c:>{columns[2]}}  {d:{columns[3]}}  "
-            f"{e:>{columns[4]}}  {f}"
-        ).rstrip()
-        for a, b, c, d, e, f in rows
-    ]
+def _ends(found: xarray.Dataset, name: str) -> list[str]:
+    """Return lanes with a value, its least and its largest value, and where they are."""
+    variable = found[name]
+    values = variable.values  # read once: it may lie on disk
+    there = np.isfinite(values)
+    inner = tuple(k for k, d in enumerate(variable.dims) if d not in found["lane_status"].dims)
+    lanes = f"{int(there.any(axis=inner).sum()):,}"
+    if not there.any():
+        return [lanes, "none", "", "", ""]
+    ends = []
+    for pick in (np.nanargmin, np.nanargmax):
+        place = np.unravel_index(int(pick(np.where(there, values, np.nan))), values.shape)
+        ends += [f"{values[place]:.5g}", _where(found, variable, place)]
+    return [lanes, *ends] if ends[0] != ends[2] else [lanes, ends[0], "everywhere", "", ""]
 
 
 def _where(found: xarray.Dataset, variable: xarray.DataArray, place: Sequence[Any]) -> str:

@@ -1,24 +1,21 @@
 """The tables that the commands print."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas
 
 from vibrojax.model.modes import Modes
 from vibrojax.results.status import Status
 from vibrojax.sweep.frequency_response import FrequencyResponse
 
 
-def title(what: str, rig: Path | None) -> str:
-    """Return the first line of a table."""
-    return f"{what} of {'the default rig (dimensions assumed)' if rig is None else rig}"
-
-
 def sweep_table(
     title: str,
     response: FrequencyResponse,
     times: tuple[float, float, float],
-    files: tuple[Path | None, ...],
+    files: Sequence[Path],
 ) -> str:
     """Return peak, jumps, hysteresis and status of a sweep, with times and files."""
     natural = float(response.natural_frequency)
@@ -64,29 +61,28 @@ def sweep_table(
     say(f"points, {status.size}", points)
     total, compiling, writing = times
     say("time", f"{total:.1f} s (compiling {compiling:.1f} s), writing {writing:.1f} s")
-    written = [str(path) for path in files if path is not None]
-    if written:
-        say("written", ", ".join(written))
+    if files:
+        say("written", ", ".join(map(str, files)))
     return "\n".join(lines)
 
 
-def _columns(found: Modes) -> list[tuple[float, ...]]:
-    columns = (found.frequency, found.beta, found.modal_mass, found.participation)
-    return [tuple(map(float, row)) for row in zip(*map(np.asarray, columns), strict=True)]
+def modes_rows(found: Modes) -> pandas.DataFrame:
+    """Return a row for every mode, to the last digit."""
+    columns = {
+        "mode": np.arange(1, len(found.frequency) + 1),
+        "frequency_hz": found.frequency,
+        "beta": found.beta,
+        "modal_mass_kg": found.modal_mass,
+        "participation": found.participation,
+    }
+    return pandas.DataFrame({name: np.asarray(values) for name, values in columns.items()})
 
 
 def modes_table(title: str, found: Modes) -> str:
     """Return a line for every mode."""
     head = f"  {'mode':>4}  {'frequency, Hz':>13}  {'beta':>10}  {'modal mass, kg':>14}"
     lines = [f"{title}, {found.formulation} formulation", f"{head}  {'participation':>13}"]
-    for i, (frequency, beta, mass, participation) in enumerate(_columns(found), 1):
+    for i, frequency, beta, mass, participation in modes_rows(found).itertuples(index=False):
         row = f"  {i:4d}  {frequency:13.6g}  {beta:10.6f}  {mass:14.6g}  {participation:13.6f}"
         lines.append(row)
     return "\n".join(lines)
-
-
-def modes_csv(found: Modes) -> str:
-    """Return the same to the last digit, as text of a .csv file."""
-    lines = ["mode,frequency_hz,beta,modal_mass_kg,participation"]
-    lines += [",".join([str(i), *map(repr, row)]) for i, row in enumerate(_columns(found), 1)]
-    return "\n".join([*lines, ""])

@@ -1,7 +1,7 @@
 """What the keywords of a study mean: crossed axes, axes that go together, fixed arguments."""
 
 import inspect
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from vibrojax._tools.checks import check_names, check_needed_arguments
 from vibrojax._tools.described import in_short
 from vibrojax._tools.kinds import is_list
 from vibrojax._tools.signatures import validated
+from vibrojax.ensemble.ranges import Range
 from vibrojax.results.axes import together
 
 RESERVED = ("direction", "crossing", "frequency", "frequency_ratio", "fold", "grazing")
@@ -37,7 +38,7 @@ def zipped(**values: Any) -> Zipped:
 
     As a positional argument the axis is called `taper_gap`; given as a keyword,
     `design=vj.zipped(...)`, it has the name of the keyword. Maps and all studies over lists
-    (`frequency_sweep`, `regimes`, `simulate_each`, ...) take it. Raises `ValueError` for fewer than
+    (`frequency_sweep`, `regimes`, `simulate`, ...) take it. Raises `ValueError` for fewer than
     two names or lists of unequal lengths.
 
     `values` are lists of equal length by name.
@@ -84,10 +85,11 @@ class Dimension(NamedTuple):
 
 
 class Arguments(NamedTuple):
-    """What the function of the rig is called with: some fixed, some along dimensions."""
+    """What the function of the rig is called with: fixed, along dimensions, or over ranges."""
 
     dimensions: tuple[Dimension, ...]
     fixed: dict[str, Any]
+    ranges: dict[str, Range]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -149,12 +151,12 @@ def arguments_of(
     groups: tuple[Any, ...],
     keywords: Mapping[str, Any],
     *,
-    given: Collection[str] = (),
+    with_ranges: bool = False,
 ) -> Arguments:
-    """Sort what a study was called with; `given` are arguments that it takes care of itself.
+    """Sort what a study was called with.
 
     Raises `ValueError` for an argument that the function does not take, one that is given twice,
-    an empty axis, or a name that the result needs itself.
+    an empty axis, a name that the result needs itself, or a range where the study takes none.
     """
     dimensions: list[Dimension] = []
     for group in groups:
@@ -165,22 +167,30 @@ def arguments_of(
             )
         dimensions.append(_dimension("_".join(group.values), group))
     fixed: dict[str, Any] = {}
+    ranges: dict[str, Range] = {}
     for name, value in keywords.items():
-        if isinstance(value, Zipped) or is_list(value):
+        if isinstance(value, Range):
+            if not with_ranges:
+                raise ValueError(
+                    f"{name} is a range, {value!r}: give one number, or a list as an axis, such as "
+                    f"{name}=np.linspace({value.low:g}, {value.high:g}, 11)."
+                )
+            ranges[name] = value
+        elif isinstance(value, Zipped) or is_list(value):
             dimensions.append(_dimension(name, value))
         else:
             fixed[name] = value.item() if isinstance(value, np.generic) else value
-    varied = [n for d in dimensions for n in d.values]
-    check_names(make_system, (*varied, *fixed, *given))
-    for name in (*varied, *fixed, *given):
-        if [*varied, *fixed, *given].count(name) > 1:
+    named = [*(n for d in dimensions for n in d.values), *fixed, *ranges]
+    check_names(make_system, named)
+    for name in named:
+        if named.count(name) > 1:
             raise ValueError(f"{name} is given twice: once is an axis, twice is a contradiction.")
-    check_needed_arguments(make_system, (*varied, *fixed, *given))
+    check_needed_arguments(make_system, named)
     names = [d.name for d in dimensions]
     for name in names:
         if names.count(name) > 1 or name in RESERVED:
             raise ValueError(f"The axis name {name!r} is taken: give the group another keyword.")
-    return Arguments(tuple(dimensions), fixed)
+    return Arguments(tuple(dimensions), fixed, ranges)
 
 
 def default_of(make_system: Callable[..., Any], name: str) -> Any:
@@ -189,3 +199,15 @@ def default_of(make_system: Callable[..., Any], name: str) -> Any:
     if parameter is None or parameter.default is parameter.empty:
         return None
     return parameter.default
+
+
+def numbers_apart(arguments: Mapping[str, Any]) -> tuple[dict[str, float], dict[str, Any]]:
+    """Part fixed arguments into real numbers, which JAX may trace, and all else (counts, names)."""
+    real = {n: float(v) for n, v in arguments.items() if _is_real(v)}
+    return real, {n: v for n, v in arguments.items() if n not in real}
+
+
+def _is_real(value: Any) -> bool:
+    return isinstance(value, float | np.floating) or (
+        hasattr(value, "dtype") and np.ndim(value) == 0
+    )

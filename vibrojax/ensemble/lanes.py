@@ -83,7 +83,8 @@ def check_no_numbers(numbers: Mapping[str, Any], groups: tuple[Any, ...]) -> Non
     if names:
         raise ValueError(
             f"Unknown argument {names[0]!r}. To follow or vary a number of the rig, pass a "
-            "function that makes the rig from named numbers, in place of the rig itself."
+            "function that makes the rig from named numbers, in place of the rig itself. Settings "
+            "of a study go into settings=."
         )
 
 

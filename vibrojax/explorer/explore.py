@@ -1,21 +1,22 @@
 """An interactive frequency response: sliders for the numbers of a rig."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike
 
-from vibrojax._tools.checks import check_choice, check_names
+from vibrojax._tools.checks import check_choice, check_positive
 from vibrojax._tools.described import in_short
 from vibrojax._tools.kinds import is_list
 from vibrojax._tools.signatures import validated
-from vibrojax.branches.along import along_of
-from vibrojax.ensemble.arguments import default_of
-from vibrojax.explorer.explorer import Explorer, Measurement
+from vibrojax.branches.along import check_continued
+from vibrojax.ensemble.arguments import Zipped, arguments_of, default_of
+from vibrojax.ensemble.lanes import made_by
+from vibrojax.ensemble.ranges import Range
+from vibrojax.explorer.explorer import Explorer
 from vibrojax.explorer.live_curve import CurveTracer
-from vibrojax.explorer.sliders import Slider
+from vibrojax.explorer.sliders import is_logarithmic
 from vibrojax.identification.curve_misfit import sensor_of
 from vibrojax.identification.fitted_data import described_amplitude
 from vibrojax.identification.sensor import Sensor
@@ -40,15 +41,15 @@ MARGIN = 0.03
 def explore(
     make_system: Callable[..., AbstractSystem] | AbstractSystem,
     *,
-    frequency_ratio: ArrayLike | Sequence[float] | None = None,
-    frequency: ArrayLike | Sequence[float] | None = None,
+    frequency_ratio: Range | None = None,
+    frequency: Range | None = None,
     variable: str = "amplitude_ratio",
     measured: Any = None,
     **numbers: Any,
 ) -> Explorer:
     """Show the frequency response of a rig with a slider for each of its numbers.
 
-        vj.explore(rig, gap=(0.1e-3, 1e-3), stiffness=(500, 50000), taper=0.3)
+        vj.explore(rig, gap=vj.Range(0.1e-3, 1e-3), stiffness=vj.Range(500, 50000), taper=0.3)
 
     Drawn are the branch of periodic motions of period 1 (stable and unstable parts), what slow
     sweeps of both directions follow of it with their jumps, and of the orbit under the cursor the
@@ -63,19 +64,19 @@ def explore(
 
     Parameters:
         make_system: a function (not a system) from named numbers to a system with stops.
-        frequency_ratio, frequency: range (low, high) of the drive frequency, as ratio to the first
-            natural frequency of the unstopped system, or in Hz; one of the two. By default the
-            range of the measured points, or (0.8, 1.4) times the first natural frequency.
+        frequency_ratio, frequency: `vj.Range(low, high)` of the drive frequency, as ratio to the
+            first natural frequency of the unstopped system, or in Hz; one of the two. By default
+            the range of the measured points, or 0.8 to 1.4 times the first natural frequency.
         variable: what is drawn against frequency: `amplitude_ratio`, `peak_ratio`, `rms_ratio`,
             `first_harmonic_ratio`, or `contact_force` (N). With `measured` it is what was measured.
         measured: a `MeasuredCurve`, or anything that `read_measured_curve` reads, to be laid over.
-        numbers: arguments of the function, in SI units: (low, high) is the range of a slider, which
-            starts at the function's default or in the middle; (low, high, start) says where.
-            Ranges over more than a factor of 20 are logarithmic. Anything else is fixed.
+        numbers: arguments of the function, in SI units: `vj.Range(low, high)` makes a slider, which
+            starts at the function's default or in the middle; `vj.Range(low, high, start)` says
+            where. Ranges over more than a factor of 20 are logarithmic. Anything else is fixed.
 
-    Returns an `Explorer`. Raises `ValueError` for a name that is not an argument of the function, a
-    range without width, numbers that the function refuses at either end of a range, no slider at
-    all, or a system that `continue_response` cannot follow.
+    Returns an `Explorer`. Raises `ValueError` for a name that is not an argument of the function,
+    numbers that the function refuses at either end of a range, no slider at all, or a system that
+    `continue_response` cannot follow.
     """
     if isinstance(make_system, AbstractSystem) or not callable(make_system):
         raise ValueError(
@@ -83,69 +84,52 @@ def explore(
             f"{in_short(make_system)}. Write def rig(gap=4e-4): ... and pass rig."
         )
     check_choice("variable", variable, tuple(QUANTITIES))
-    sliders = {n: _slider(make_system, n, v) for n, v in numbers.items() if isinstance(v, tuple)}
-    fixed = {name: value for name, value in numbers.items() if name not in sliders}
-    if not sliders:
-        raise ValueError(
-            "Give at least one number a range (low, high), such as gap=(1e-4, 1e-3): that makes "
-            "its slider."
-        )
-    for name, value in fixed.items():
-        if is_list(value):
+    for name, value in numbers.items():
+        if is_list(value) or isinstance(value, Zipped):
             raise ValueError(
-                f"{name} must be a range (low, high), which makes a slider, or one fixed value, "
-                f"got {in_short(value)}."
+                f"{name} must be a range, vj.Range(low, high), which makes a slider, or one fixed "
+                f"value, got {in_short(value)}."
             )
+    named = arguments_of(make_system, (), numbers, with_ranges=True)
+    if not named.ranges:
+        raise ValueError(
+            "Give at least one number a range, such as gap=vj.Range(1e-4, 1e-3): that makes its "
+            "slider."
+        )
+    sliders = {n: _slider(r, default_of(make_system, n)) for n, r in named.ranges.items()}
     points = _measurements(measured)
-    axis, low, high = _range(frequency_ratio, frequency, points)
-    starts = {name: slider.value for name, slider in sliders.items()}
+    axis, over = _range(frequency_ratio, frequency, points)
+    starts = {name: slider.start for name, slider in sliders.items()}
     sample = None
     for name, slider in sliders.items():
         for end in (slider.low, slider.high):
-            at = fixed | starts | {name: end}
-            sample = along_of(make_system, *_frequencies(axis, low, high), at).sample
+            sample = made_by(make_system, named.fixed | starts | {name: end})
+            check_continued(sample)
     assert sample is not None
-    force = variable == "contact_force"
-    sensor = Sensor(quantity=QUANTITIES[variable], with_force=True)
+    force, sensor = variable == "contact_force", Sensor(quantity=QUANTITIES[variable])
     y_label = label_of(variable, sample.drive.reference[1])
     if points:
-        first = points[0]
-        force = first.amplitude is None
-        y_label = label_of("contact_force")
+        force, y_label = points[0].amplitude is None, label_of("contact_force")
         if not force:
-            described = described_amplitude(first)
+            described = described_amplitude(points[0])
             y_label = with_unit(described["long_name"], described["units"])
-            sensor = dataclasses.replace(sensor_of(first), with_force=True)
-    drawn = tuple(
-        Measurement(m, np.asarray(m.contact_force if force else m.amplitude)) for m in points
+            sensor = sensor_of(points[0])
+    sensor = dataclasses.replace(sensor, with_force=True)
+    tracer = CurveTracer(
+        make_system, named.fixed, axis, over.low, over.high, sensor, force, is_exact(sample)
     )
-    tracer = CurveTracer(make_system, fixed, axis, low, high, sensor, is_exact(sample))
-    return Explorer(tracer, sliders, (label_of(axis), y_label), force, drawn)
+    return Explorer(tracer, sliders, (label_of(axis), y_label), points)
 
 
-def _frequencies(axis: str, low: float, high: float) -> tuple[Any, Any]:
-    """Return the two arguments of a continuation."""
-    return ((low, high), None) if axis == "frequency_ratio" else (None, (low, high))
-
-
-def _slider(make_system: Callable[..., AbstractSystem], name: str, value: tuple) -> Slider:
-    try:
-        given = [float(v) for v in value]
-    except (TypeError, ValueError):
-        given = []
-    if not 2 <= len(given) <= 3 or not np.isfinite(given).all() or not given[0] < given[1]:
-        raise ValueError(
-            f"{name} must be a range (low, high) or (low, high, start) of finite numbers with low "
-            f"below high, got {in_short(value)}."
-        )
-    low, high, *start = given
-    check_names(make_system, [name])
-    default = default_of(make_system, name)
-    if not start and isinstance(default, int | float):
-        start = [float(default)]
-    middle = np.sqrt(low * high) if Slider(low, high, low).is_logarithmic else (low + high) / 2
-    chosen = start[0] if start and low <= start[0] <= high else float(middle)
-    return Slider(low, high, chosen)
+def _slider(given: Range, default: Any) -> Range:
+    """Choose where a slider starts, if the range does not say."""
+    start = given.start
+    if start is None and isinstance(default, int | float) and given.low <= default <= given.high:
+        start = float(default)
+    if start is None:
+        low, high = given.low, given.high
+        start = float(np.sqrt(low * high)) if is_logarithmic(given) else (low + high) / 2
+    return dataclasses.replace(given, start=start)
 
 
 def _measurements(measured: Any) -> tuple[MeasuredCurve, ...]:
@@ -153,42 +137,34 @@ def _measurements(measured: Any) -> tuple[MeasuredCurve, ...]:
         return ()
     read = measured if isinstance(measured, MeasuredCurve) else read_measured_curve(measured)
     curves = (read,) if isinstance(read, MeasuredCurve) else tuple(read)
-    first = curves[0]
-
-    def kind(m: MeasuredCurve) -> tuple[Any, ...]:
-        return (m.frequency_name, m.quantity, m.signal, m.is_ratio, m.frame, m.amplitude is None)
-
-    for curve in curves:
-        if kind(curve) != kind(first):
-            raise ValueError(
-                "measured: all curves must be of one quantity and one kind of frequency, to be "
-                "drawn on one axis. Pass those that are."
-            )
+    kinds = {
+        (m.frequency_name, m.quantity, m.signal, m.is_ratio, m.frame, m.amplitude is None)
+        for m in curves
+    }
+    if len(kinds) > 1:
+        raise ValueError(
+            "measured: all curves must be of one quantity and one kind of frequency, to be drawn "
+            "on one axis. Pass those that are."
+        )
     return curves
 
 
 def _range(
-    frequency_ratio: Any, frequency: Any, measured: tuple[MeasuredCurve, ...]
-) -> tuple[str, float, float]:
+    frequency_ratio: Range | None, frequency: Range | None, measured: tuple[MeasuredCurve, ...]
+) -> tuple[str, Range]:
+    """Name and range of the axis of frequencies."""
     if frequency_ratio is not None and frequency is not None:
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
     axis = "frequency" if frequency is not None else "frequency_ratio"
-    given = frequency if frequency is not None else frequency_ratio
-    if measured:
+    given = frequency_ratio if frequency is None else frequency
+    if given is None and measured:
+        every = np.concatenate([m.frequency for m in measured])
+        low, high = float(every.min()), float(every.max())
+        edge = MARGIN * (high - low) or MARGIN * low
+        return measured[0].frequency_name, Range(max(low - edge, low / 2), high + edge)
+    if measured and axis != measured[0].frequency_name:
         own = measured[0].frequency_name
-        if given is not None and axis != own:
-            raise ValueError(f"The measured points are over {own}: give {own}=(low, high).")
-        if given is None:
-            all_of_them = np.concatenate([m.frequency for m in measured])
-            low, high = float(all_of_them.min()), float(all_of_them.max())
-            edge = MARGIN * (high - low) or MARGIN * low
-            return own, max(low - edge, low / 2), high + edge
-    if given is None:
-        given = (0.8, 1.4)
-    values = np.asarray(given, float).reshape(-1)
-    if values.shape != (2,) or not np.isfinite(values).all() or not 0 < values[0] < values[1]:
-        raise ValueError(
-            f"{axis} must be a range (low, high) above 0 with low below high, "
-            f"got {in_short(given)}."
-        )
-    return axis, float(values[0]), float(values[1])
+        raise ValueError(f"The measured points are over {own}: give {own}=vj.Range(low, high).")
+    given = given or Range(0.8, 1.4)
+    check_positive(axis, given.low, "(ratio)" if axis == "frequency_ratio" else "Hz")
+    return axis, given

@@ -2,9 +2,7 @@
 
 import base64
 import os
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from vibrojax._tools.checks import nearest
 from vibrojax._tools.files import path_of
@@ -12,13 +10,19 @@ from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continuation import Ending
 from vibrojax.branches.continue_response import continue_response
-from vibrojax.explorer.live_curve import CurveTracer, LiveCurve, highest_stable, nearest_point
-from vibrojax.explorer.live_orbit import LiveOrbit, orbit_at
-from vibrojax.explorer.sliders import Slider, unit_of
+from vibrojax.ensemble.ranges import Range
+from vibrojax.explorer.live_curve import (
+    CurveTracer,
+    LiveCurve,
+    LiveOrbit,
+    highest_stable,
+    nearest_point,
+    orbit_at,
+)
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.saving import whole_files
-from vibrojax.results.variables import named_value
+from vibrojax.results.variables import axis_unit, named_value
 
 if TYPE_CHECKING:
     from vibrojax.explorer.picture import LivePicture
@@ -26,11 +30,7 @@ if TYPE_CHECKING:
 NOTE = "A still picture: the sliders are there where the notebook runs (in Jupyter, ipywidgets)."
 
 
-class Measurement(NamedTuple):
-    """A measured curve and which of its channels is drawn."""
-
-    curve: MeasuredCurve
-    values: np.ndarray
+METHODS = ("branch", "curve", "figure", "orbit", "save", "system")
 
 
 class Explorer:
@@ -44,28 +44,26 @@ class Explorer:
         tracer: makes the curve from the numbers.
         sliders: ranges and starts, by name of the number.
         labels: of the axes of the response, below and beside.
-        force: whether the contact force is what is drawn against frequency.
         measured: points to be laid over.
     """
 
     def __init__(
         self,
         tracer: CurveTracer,
-        sliders: dict[str, Slider],
+        sliders: dict[str, Range],
         labels: tuple[str, str],
-        force: bool,
-        measured: tuple[Measurement, ...] = (),
+        measured: tuple[MeasuredCurve, ...] = (),
     ):
         self._tracer, self.sliders, self._labels = tracer, sliders, labels
-        self._force = force
         self._measured = measured
-        self._start = {name: slider.value for name, slider in sliders.items()}
         self._panel: Any = None
 
     @property
     def values(self) -> dict[str, float]:
         """The numbers that the sliders show; without sliders on screen, where they start."""
-        return dict(self._start) if self._panel is None else self._panel.values
+        if self._panel is not None:
+            return self._panel.values
+        return {name: slider.start or 0.0 for name, slider in self.sliders.items()}
 
     def __dir__(self) -> list[str]:
         return [
@@ -81,10 +79,10 @@ class Explorer:
         ]
 
     def __repr__(self) -> str:
-        moved = [
-            f"{name} {slider.low:g} to {slider.high:g} {unit_of(name)}".rstrip()
-            for name, slider in self.sliders.items()
-        ]
+        moved = []
+        for name, slider in self.sliders.items():
+            unit = "" if axis_unit(name) == "1" else f" {axis_unit(name)}"
+            moved.append(f"{name} {slider.low:g} to {slider.high:g}{unit}")
         return f"Explorer({', '.join(moved)})\n  {NOTE}"
 
     def _numbers(self, numbers: dict[str, float]) -> dict[str, float]:
@@ -107,8 +105,7 @@ class Explorer:
 
         Raises `ValueError` as `system` does.
         """
-        chosen = self._checked(numbers)
-        return self._shown(self._tracer(chosen))
+        return self._tracer(self._checked(numbers))
 
     @validated
     def quick_curve(self, winds: bool, **numbers: float) -> LiveCurve:
@@ -116,15 +113,12 @@ class Explorer:
 
         Raises `ValueError` as `system` does.
         """
-        return self._shown(self._tracer.quick(self._checked(numbers), winds))
+        return self._tracer.quick(self._checked(numbers), winds)
 
     def _checked(self, numbers: dict[str, float]) -> dict[str, float]:
         chosen = self._numbers(numbers)
         self._tracer.system(chosen)  # concrete numbers are checked, traced ones are not
         return chosen
-
-    def _shown(self, curve: LiveCurve) -> LiveCurve:
-        return curve._replace(response=curve.contact_force) if self._force else curve
 
     @validated
     def orbit(self, frequency: float, **numbers: float) -> LiveOrbit:
@@ -144,7 +138,7 @@ class Explorer:
         Raises `ValueError` as `system` does.
         """
         tracer = self._tracer
-        frequencies: dict[str, Any] = {tracer.axis: (tracer.low, tracer.high)}
+        frequencies: dict[str, Any] = {tracer.axis: Range(tracer.low, tracer.high)}
         found = continue_response(self.system(**numbers), **frequencies)
         assert isinstance(found, Branch)
         return found
@@ -156,8 +150,8 @@ class Explorer:
         tracer = self._tracer
         rows = 2 if self._measured else 1
         picture = LivePicture((tracer.low, tracer.high), *self._labels, rows=rows)
-        for measured, values in self._measured:
-            picture.lay_measured(measured, values)
+        for one in self._measured:
+            picture.lay_measured(one, tracer.force)
         picture.legend()
         return picture
 
@@ -190,7 +184,7 @@ class Explorer:
         picture.show_curve(curve)
         if len(curve.frequency):
             at = highest_stable(curve) if frequency is None else nearest_point(curve, frequency)
-            picture.show_orbit(curve, orbit_at(curve, at), at)
+            picture.show_orbit(curve, at)
         picture.freeze(", ".join(named_value(n, float(f"{v:.4g}")) for n, v in chosen.items()))
         return picture
 
@@ -226,16 +220,15 @@ class Explorer:
         unit = "" if self._tracer.axis == "frequency_ratio" else " Hz"
         stable = "stable" if curve.stable[at] else "unstable"
         folds = ", ".join(f"{value:.5g}{unit}" for _, value in curve.folds[:6]) or "none"
-        words = (
+        look = f"A quick look with {curve.harmonics} harmonics: the curve winds. "
+        return (
             f"Orbit at {curve.frequency[at]:.5g}{unit}: {stable} (largest multiplier "
             f"{curve.leading_multiplier[at]:.3g}), response {curve.response[at]:.4g}, contact "
             f"force {curve.contact_force[at]:.3g} N. Folds: {folds}. "
+            f"{look if curve.harmonics is not None else ''}"
+            f"{f'{curve.ending.sentence} ' if curve.ending is not Ending.completed else ''}"
+            f"Drawn in {1e3 * seconds:.0f} ms."
         )
-        if curve.harmonics is not None:
-            words += f"A quick look with {curve.harmonics} harmonics: the curve winds. "
-        if curve.ending is not Ending.completed:
-            words += f"{curve.ending.sentence} "
-        return words + f"Drawn in {1e3 * seconds:.0f} ms."
 
 
 def kernel_is_live() -> bool:

@@ -14,11 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from vibrojax.branches.continuation import LONGEST_STEP, Ending, Settings, begin
+from vibrojax._tools.compiled import compiled
+from vibrojax.branches.along import frequency_paths
+from vibrojax.branches.continuation import Ending
+from vibrojax.branches.over_range import scale_of, trace_over
 from vibrojax.branches.special_points import parabola_vertex
-from vibrojax.branches.tracing import Traced, free_motion, trace_branches
+from vibrojax.branches.tracing import Traced
+from vibrojax.ensemble.lanes import stacked
 from vibrojax.identification.sensor import Sensor, observe
-from vibrojax.model.systems import AbstractSystem, as_arrays
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.steady.balanced_motion import kicked_monodromy
 from vibrojax.steady.batches import in_batches, take
 from vibrojax.steady.condensed import (
@@ -30,9 +34,10 @@ from vibrojax.steady.condensed import (
     differentiate,
     state_of,
 )
-from vibrojax.steady.contact_times import MOST_EVENTS, Orbit, follow_events, tables_of
+from vibrojax.steady.contact_times import Orbit, follow_events, tables_of
 from vibrojax.steady.orbit_reading import find_crossings
-from vibrojax.steady.paths import FrequencyPath, Place, frequency_path
+from vibrojax.steady.paths import FrequencyPath, Place
+from vibrojax.stepping.measures import MOST_EVENTS
 
 SAMPLES = 128
 CONVERGED = (1e-3, 1e-4, 1e-8)
@@ -42,6 +47,8 @@ QUICK_HARMONICS = 12
 MOST_QUICK_POINTS = 250
 """Points of a curve that may take no more than a tenth of a second."""
 BATCH = 32
+FINER = 4
+"""How many times finer than the balance the waveform of an orbit is drawn."""
 
 
 class LiveCurve(NamedTuple):
@@ -81,31 +88,17 @@ class LiveCurve(NamedTuple):
         return found
 
 
-class Balanced(NamedTuple):
-    """A motion of a live curve as the balance sees it."""
+def _balanced_at(path: FrequencyPath, depth, frequency) -> tuple[Place, Problem, Array, Balance]:
+    """Evaluate the balance of a motion with this spectrum of averaged depth.
 
-    place: Place
-    problem: Problem
-    per_second: Float[Array, ""]
-    """Samples."""
-    balance: Balance
-
-
-def balanced_at(path: FrequencyPath, depth, frequency) -> Balanced:
-    """Evaluate the balance of a motion with this spectrum of averaged depth."""
+    Returns place, condensed problem, samples per second and the balance.
+    """
     samples = 2 * (depth.shape[-1] - 1)
     place = path.at(frequency)
     w = place.angular_frequency
     per_second = samples * w / (2 * jnp.pi)
     problem = condensed_problem(place.equations, place.drive, w, samples=samples)
-    return Balanced(place, problem, per_second, balance(problem, depth, per_second, samples))
-
-
-@eqx.filter_jit
-def _path(make, static: dict[str, Any], numbers: dict[str, Array], is_ratio: bool, exact: bool):
-    system = make(**static, **numbers)
-    path = frequency_path(as_arrays(system), is_ratio, exact)
-    return jax.tree.map(lambda a: a[None] if eqx.is_array(a) else a, path)
+    return place, problem, per_second, balance(problem, depth, per_second, samples)
 
 
 def _contact_monodromy(path: FrequencyPath, place: Place, depth, force):
@@ -115,33 +108,23 @@ def _contact_monodromy(path: FrequencyPath, place: Place, depth, force):
     motion = depth / cell_average(samples, depth.shape[-1])
     value, change = jnp.fft.irfft(jnp.stack([motion, differentiate(motion, samples)]), samples)
     found = find_crossings(value, change, MOST_EVENTS, 1)
-    state = state_of(
-        place.equations,
-        place.drive,
-        place.angular_frequency,
-        force,
-        found.events.section,
-        samples=samples,
-    )
-    tables = tables_of(path.phases, place.drive, place.angular_frequency)
-    orbit = Orbit(state, found.times)
-    number = found.events.number
-    motion = follow_events(tables, found.events, orbit, 1, number, with_jacobian=True)
-    assert motion.jacobian is not None
+    events, w = found.events, place.angular_frequency
+    state = state_of(place.equations, place.drive, w, force, events.section, samples=samples)
+    tables, orbit = tables_of(path.phases, place.drive, w), Orbit(state, found.times)
+    jacobian = follow_events(tables, events, orbit, 1, events.number, with_jacobian=True).jacobian
+    assert jacobian is not None
     weight = path.phases.weight
-    return jnp.where(
-        found.number <= MOST_EVENTS, weight[:, None] * motion.jacobian / weight, jnp.nan
-    )
+    return jnp.where(found.number <= MOST_EVENTS, weight[:, None] * jacobian / weight, jnp.nan)
 
 
-@eqx.filter_jit
+@compiled
 def _glance(paths: FrequencyPath, depth, frequency, sensor: Sensor):
     """What the sensor shows, the largest force and the leading multiplier of some motions."""
     path = take(paths, 0)
 
     def one(depth, frequency):
-        place, problem, per_second, at = balanced_at(path, depth, frequency)
-        shown, force = observe(sensor, place, problem, at.force, depth, 1)
+        place, problem, per_second, at = _balanced_at(path, depth, frequency)
+        shown, force = observe(sensor, place, problem, at.force, depth)
         if path.phases is None:
             matrix = kicked_monodromy(place, at, 1 / per_second)
         else:
@@ -156,27 +139,28 @@ def _glance(paths: FrequencyPath, depth, frequency, sensor: Sensor):
 class CurveTracer(eqx.Module):
     """From named numbers to a curve; compiled once for all of them.
 
-    `make` makes the system from the numbers and from what is `static`.
+    `make` makes the system from the numbers and from what is `fixed`.
     """
 
     make: Any = eqx.field(static=True)
-    static: dict[str, Any]
+    fixed: dict[str, Any]
     axis: str = eqx.field(static=True)
     """`frequency_ratio`, or `frequency` in Hz."""
     low: float
     high: float
     sensor: Sensor
+    force: bool
+    """Whether the contact force is what is drawn, in place of the first channel of the sensor."""
     exact: bool
     """Whether stops are linear, so that contact phases have propagators."""
 
     def system(self, numbers: dict[str, float]) -> AbstractSystem:
         """Return the system with these numbers."""
-        return self.make(**self.static, **numbers)
+        return self.make(**self.fixed, **numbers)
 
     def __call__(self, numbers: dict[str, float]) -> LiveCurve:
         """Return the whole curve; one of no points where none is found at the low end."""
-        path, traced = self._trace(numbers, None, 2000)
-        return self._read(path, traced, None)
+        return self._read(*self._trace(numbers, None, 2000), None)
 
     def quick(self, numbers: dict[str, float], winds: bool) -> LiveCurve:
         """Return the whole curve if it has few points, else a quick look with few harmonics.
@@ -188,15 +172,15 @@ class CurveTracer(eqx.Module):
             path, traced = self._trace(numbers, None, MOST_QUICK_POINTS)
             if traced.ending is not Ending.running and len(traced.parameter) <= MOST_QUICK_POINTS:
                 return self._read(path, traced, None)
-        path, traced = self._trace(numbers, QUICK_HARMONICS, MOST_QUICK_POINTS)
-        return self._read(path, traced, QUICK_HARMONICS)
+        few = QUICK_HARMONICS
+        return self._read(*self._trace(numbers, few, MOST_QUICK_POINTS), few)
 
     def _trace(
         self, numbers: dict[str, float], harmonics: int | None, max_points: int
     ) -> tuple[FrequencyPath, Traced]:
-        arrays = {name: jnp.asarray(value, float) for name, value in numbers.items()}
-        ratio = self.axis == "frequency_ratio"
-        path = jax.device_get(_path(self.make, self.static, arrays, ratio, self.exact))
+        systems = stacked([self.system(numbers)])
+        path = frequency_paths(systems, self.axis == "frequency_ratio", self.exact)
+        path = jax.device_get(path)
         traced = self._follow(path, 1, harmonics, max_points)
         if not len(traced.parameter):
             # Where contact is heavy at the low end, free motion is no guess; at the high end it is.
@@ -212,25 +196,16 @@ class CurveTracer(eqx.Module):
         self, path: FrequencyPath, way: int, harmonics: int | None, max_points: int
     ) -> Traced:
         """Trace from the low end upwards (`way` 1) or from the high end downwards (-1)."""
-        low, high = np.array([self.low]), np.array([self.high])
-        start = low if way > 0 else high
-        scale = (self.high - self.low) / 0.5
-        settings = Settings(
-            start=start,
-            low=low,
-            high=high,
-            direction=np.array([float(way)]),
-            scale=np.array([min(1.0, scale) if self.axis == "frequency_ratio" else scale]),
-            tolerance=np.asarray(CONVERGED[0]),
-            longest=np.asarray(LONGEST_STEP),
-        )
-        guess = free_motion(path, start, SAMPLES, 1)
         tried = []
         for tolerance in CONVERGED:
-            tried += trace_branches(
+            tried += trace_over(
                 path,
-                settings._replace(tolerance=np.asarray(tolerance)),
-                begin(guess, start),
+                np.array([self.low if way > 0 else self.high]),
+                self.low,
+                self.high,
+                scale=scale_of(self.low, self.high, 1.0 if "ratio" in self.axis else np.inf),
+                way=float(way),
+                tolerance=tolerance,
                 samples=SAMPLES,
                 harmonics=harmonics,
                 max_points=max_points,
@@ -250,7 +225,7 @@ class CurveTracer(eqx.Module):
             )
         return LiveCurve(
             frequency=traced.parameter,
-            response=shown,
+            response=force if self.force else shown,
             contact_force=force,
             leading_multiplier=leading,
             direction=traced.direction,
@@ -283,3 +258,43 @@ def highest_stable(curve: LiveCurve) -> int:
     """Return the point of the largest stable response (of all, where none is stable)."""
     shown = np.where(curve.stable, curve.response, -np.inf)
     return int(np.argmax(shown if np.isfinite(shown).any() else curve.response))
+
+
+class LiveOrbit(NamedTuple):
+    """One drive period of a motion, closed: the last sample repeats the first."""
+
+    phase: Float[np.ndarray, " samples"]
+    """Drive periods from phase 0."""
+    displacement: Float[np.ndarray, " samples"]
+    """What the system reports (the tip), relative to the base, m."""
+    velocity: Float[np.ndarray, " samples"]
+    """m/s."""
+    contact_force: Float[np.ndarray, "stops samples"]
+    """N."""
+    touching: Bool[np.ndarray, " samples"]
+    """Whether any stop is touched."""
+
+
+@compiled
+def _waves(paths, depth, frequency):
+    place, problem, per_second, at = _balanced_at(take(paths, 0), depth, frequency)
+    samples = 2 * (depth.shape[-1] - 1)
+    average = cell_average(samples, depth.shape[-1])
+    push = jnp.einsum("bk,bk->k", problem.receptance.response_from_force, at.force / average)
+    tip, motion = problem.response_drive + push, depth / average
+    both = jnp.concatenate([tip[None], motion])
+    rows = jnp.concatenate([both, differentiate(both, samples)])
+    # The highest harmonic has no phase at the samples: it is left out.
+    waves = jnp.fft.irfft(FINER * rows.at[:, -1].set(0.0), FINER * samples)
+    value, rate = jnp.split(waves, 2)
+    rate = rate * per_second
+    stops = enumerate(place.equations.stops, start=1)
+    forces = jnp.stack([stop.force(value[a], rate[a]) for a, stop in stops])
+    return value[0], rate[0], forces, jnp.any(value[1:] > 0, axis=0)
+
+
+def orbit_at(curve: LiveCurve, point: int) -> LiveOrbit:
+    """Return the orbit of a point of the curve (its index)."""
+    waves = _waves(curve.path, curve.depth[point], jnp.asarray(curve.frequency[point]))
+    closed = [np.concatenate([a, a[..., :1]], axis=-1) for a in map(np.asarray, waves)]
+    return LiveOrbit(np.linspace(0.0, 1.0, len(closed[0])), *closed)

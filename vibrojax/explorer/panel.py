@@ -1,18 +1,18 @@
 """The explorer in a notebook: ipywidgets around the picture."""
 
 import asyncio
+import contextlib
 import html
 import time
-from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import ipywidgets
 import numpy as np
 
+from vibrojax.ensemble.ranges import Range
 from vibrojax.explorer.live_curve import MOST_QUICK_POINTS, LiveCurve, highest_stable
-from vibrojax.explorer.live_orbit import orbit_at
-from vibrojax.explorer.picture import LivePicture
-from vibrojax.explorer.sliders import Slider, label_of_number
+from vibrojax.explorer.sliders import is_logarithmic
+from vibrojax.results.variables import axis_unit, with_unit
 
 STEPS = 100
 """Steps of a slider over its range."""
@@ -27,33 +27,10 @@ HELP = (
 )
 
 
-@runtime_checkable
-class Explored(Protocol):
-    """What is shown: an `Explorer`."""
-
-    sliders: dict[str, Slider]
-
-    def picture(self) -> LivePicture:
-        """Return an empty picture."""
-        ...
-
-    def curve(self, **numbers: float) -> LiveCurve:
-        """Return the curve of some numbers."""
-        ...
-
-    def quick_curve(self, winds: bool, **numbers: float) -> LiveCurve:
-        """Return the curve of some numbers, or a quick look."""
-        ...
-
-    def sentence(self, curve: LiveCurve, at: int | None, seconds: float) -> str:
-        """Say in words what is drawn."""
-        ...
-
-
 class Panel:
-    """Sliders, picture, and what they say."""
+    """Sliders and picture of an `Explorer`, and what they say."""
 
-    def __init__(self, explorer: Explored):
+    def __init__(self, explorer: Any):
         self._explorer = explorer
         self._picture = explorer.picture()
         self._sliders = {name: _slider(name, s) for name, s in explorer.sliders.items()}
@@ -88,7 +65,7 @@ class Panel:
 
     def _make_room(self) -> None:
         """Let the axes hold the curves at the ends of all sliders, so that they stay still."""
-        start = {name: slider.value for name, slider in self._explorer.sliders.items()}
+        start = {name: slider.start for name, slider in self._explorer.sliders.items()}
         for name, slider in self._explorer.sliders.items():
             for end in (slider.low, slider.high):
                 at = start | {name: end}
@@ -117,7 +94,8 @@ class Panel:
         self._take(curve, begun)
         self._winds = curve.harmonics is not None
         if self._winds:
-            self._later = _call_later(REST, self._rested)
+            with contextlib.suppress(RuntimeError):  # without the loop of a kernel
+                self._later = asyncio.get_running_loop().call_later(REST, self._rested)
 
     def _rested(self) -> None:
         """The sliders rest: the whole of a curve that winds."""
@@ -129,16 +107,12 @@ class Panel:
     def _take(self, curve: LiveCurve, begun: float) -> None:
         self._curve = curve
         self._picture.show_curve(curve)
-        self._at = self._again()
+        # The point of the new curve nearest to the orbit that was shown.
+        self._at = None
+        if len(curve.frequency):
+            place = self._place
+            self._at = self._picture.nearest_to(*place) if place else highest_stable(curve)
         self._draw(begun)
-
-    def _again(self) -> int | None:
-        """Return the point of the new curve nearest to the orbit that was shown."""
-        if not len(self._curve.frequency):
-            return None
-        if self._place is None:
-            return highest_stable(self._curve)
-        return self._picture.nearest_to(*self._place)
 
     def _hovered(self, event: dict[str, Any]) -> None:
         width, height = event["boundingRectWidth"], event["boundingRectHeight"]
@@ -157,8 +131,7 @@ class Panel:
 
     def _draw(self, begun: float) -> None:
         curve, at = self._curve, self._at
-        orbit = None if at is None else orbit_at(curve, at)
-        self._picture.show_orbit(curve, orbit, at)
+        self._picture.show_orbit(curve, at)
         self._image.value = self._picture.png()
         seconds = time.perf_counter() - begun
         self._words.value = f"{self._explorer.sentence(curve, at, seconds)}<br>{HELP}"
@@ -170,29 +143,20 @@ class Panel:
         self._busy = False
 
 
-def _call_later(seconds: float, function: Callable[[], None]) -> asyncio.TimerHandle | None:
-    """Run a function later in the loop of the kernel; not at all without one."""
-    try:
-        return asyncio.get_running_loop().call_later(seconds, function)
-    except RuntimeError:
-        return None
-
-
 def _wide() -> dict[str, Any]:
     return {"style": {"description_width": "150px"}, "layout": {"width": "98%"}}
 
 
-def _slider(name: str, slider: Slider) -> Any:
-    shared = {"description": label_of_number(name), "readout_format": ".4g", **_wide()}
-    if slider.is_logarithmic:
-        low, high = np.log10(slider.low), np.log10(slider.high)
-        return ipywidgets.FloatLogSlider(
-            value=slider.value, min=low, max=high, step=(high - low) / STEPS, **shared
-        )
-    return ipywidgets.FloatSlider(
-        value=slider.value,
-        min=slider.low,
-        max=slider.high,
-        step=(slider.high - slider.low) / STEPS,
-        **shared,
+def _slider(name: str, slider: Range) -> Any:
+    low, high, kind = slider.low, slider.high, ipywidgets.FloatSlider
+    if is_logarithmic(slider):
+        low, high, kind = np.log10(low), np.log10(high), ipywidgets.FloatLogSlider
+    return kind(
+        value=slider.start,
+        min=low,
+        max=high,
+        step=(high - low) / STEPS,
+        description=with_unit(name, axis_unit(name)),
+        readout_format=".4g",
+        **_wide(),
     )

@@ -9,7 +9,6 @@ import io
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
@@ -18,8 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
-from vibrojax.explorer.live_curve import LiveCurve
-from vibrojax.explorer.live_orbit import LiveOrbit, orbit_at
+from vibrojax.explorer.live_curve import LiveCurve, LiveOrbit, orbit_at
 from vibrojax.explorer.swept_curve import swept_curve
 from vibrojax.measured.curve import DIRECTIONS, MeasuredCurve
 from vibrojax.plot.style import COLORS, DASHES, GREY, MARKERS, SMALL, balanced, dress, name_axes
@@ -58,12 +56,9 @@ class LivePicture:
         for axes, below, beside in labels:
             dress(axes)
             name_axes(axes, below, beside)
-        self.response.set_xlim(*x)
-        self.response.set_ylim(0.0, 1e-9)
-        self.force.set_xlim(0.0, 1.0)
-        self.force.set_ylim(0.0, 1e-9)
-        self.portrait.set_xlim(-1e-9, 1e-9)
-        self.portrait.set_ylim(-1e-9, 1e-9)
+        self.response.set(xlim=x, ylim=(0.0, 1e-9))
+        self.force.set(xlim=(0.0, 1.0), ylim=(0.0, 1e-9))
+        self.portrait.set(xlim=(-1e-9, 1e-9), ylim=(-1e-9, 1e-9))
         self.portrait.xaxis.set_major_locator(MaxNLocator(6))
         self.portrait.set_title("thick: in contact", fontsize=SMALL, loc="right", color=GREY)
         self.lines = self._lines()
@@ -72,40 +67,38 @@ class LivePicture:
         """Pixels of the points of the curve, from the left and the bottom."""
 
     def _lines(self) -> dict[str, Line2D]:
-        left, nothing = self.response, ([], [])
         lines: dict[str, Line2D] = {}
-        (lines["stable"],) = left.plot(*nothing, color=BRANCH, linewidth=1.8)
-        (lines["unstable"],) = left.plot(*nothing, color=BRANCH, linewidth=1.4, linestyle=DASHES)
-        for way in ("forward", "backward"):
-            style: dict[str, Any] = {"color": COLORS[way], "markersize": 6, "linestyle": "none"}
-            face = COLORS[way] if way == "forward" else "white"
-            (lines[way],) = left.plot(*nothing, marker=MARKERS[way], markerfacecolor=face, **style)
-            (lines[f"{way} jumps"],) = left.plot(
-                *nothing,
-                color=COLORS[way],
-                linewidth=1.6,
-                linestyle="-" if way == "forward" else (0, (1.2, 1.2)),
-            )
-        (lines["orbit"],) = left.plot(
-            *nothing, marker="o", markersize=11, markerfacecolor="none", markeredgewidth=2.2,
-            color=ORBIT, linestyle="none",
-        )  # fmt: skip
-        for name, axes in (("portrait", self.portrait), ("force", self.force)):
-            (lines[name],) = axes.plot(*nothing, color=ORBIT, linewidth=1.4)
-        (lines["contact"],) = self.portrait.plot(*nothing, color=ORBIT, linewidth=4.0)
-        for line in lines.values():
-            line.set_animated(True)
+
+        def line(name: str, axes: Axes, color: str, **style: Any) -> None:
+            (lines[name],) = axes.plot([], [], color=color, animated=True, **style)
+
+        left = self.response
+        line("stable", left, BRANCH, linewidth=1.8)
+        line("unstable", left, BRANCH, linewidth=1.4, linestyle=DASHES)
+        for way, face, dashes in (
+            ("forward", COLORS["forward"], "-"),
+            ("backward", "white", (0, (1.2, 1.2))),
+        ):
+            marker = {"marker": MARKERS[way], "markerfacecolor": face, "markersize": 6}
+            line(way, left, COLORS[way], linestyle="none", **marker)
+            line(f"{way} jumps", left, COLORS[way], linewidth=1.6, linestyle=dashes)
+        ring = {"marker": "o", "markersize": 11, "markerfacecolor": "none", "markeredgewidth": 2.2}
+        line("orbit", left, ORBIT, linestyle="none", **ring)
+        line("portrait", self.portrait, ORBIT, linewidth=1.4)
+        line("force", self.force, ORBIT, linewidth=1.4)
+        line("contact", self.portrait, ORBIT, linewidth=4.0)
         return lines
 
-    def lay_measured(self, measured: MeasuredCurve, values: np.ndarray) -> None:
-        """Lay the points of a measurement under the curve."""
+    def lay_measured(self, measured: MeasuredCurve, force: bool) -> None:
+        """Lay the points of a measurement, its contact forces or amplitudes, under the curve."""
+        values = np.asarray(measured.contact_force if force else measured.amplitude)
         for way, name in DIRECTIONS.items():
             at = measured.direction == way
             if at.any():
                 self.response.plot(
                     measured.frequency[at],
                     values[at],
-                    marker={1: "^", -1: "v"}.get(way, "s"),
+                    marker={1: "^", -1: "v", 0: "s"}[way],
                     markersize=8,
                     color=GREY,
                     markerfacecolor=COLORS["light"],
@@ -119,12 +112,9 @@ class LivePicture:
         """Name the lines, above the response."""
         names = {"stable": "stable", "unstable": "unstable", "orbit": "orbit at the right"}
         names |= {"forward": "forward sweep", "backward": "backward sweep"}
-        handles: list[Artist] = [self.lines[name] for name in names]
-        words = list(names.values())
         own, own_words = self.response.get_legend_handles_labels()
-        named = [(h, w) for h, w in zip(own, own_words, strict=True) if not w.startswith("_")]
-        handles += [h for h, _ in named]
-        words += [w for _, w in named]
+        handles = [*(self.lines[name] for name in names), *own]
+        words = [*names.values(), *own_words]
         self.figure.legend(
             handles,
             words,
@@ -141,8 +131,7 @@ class LivePicture:
         """Let the axes hold a curve and the orbit of its highest point."""
         if len(curve.frequency):
             self._hold(curve)
-            at = int(np.argmax(curve.response))
-            self._hold_orbit(orbit_at(curve, at))
+            self._hold_orbit(orbit_at(curve, int(np.argmax(curve.response))))
 
     def _hold(self, curve: LiveCurve) -> None:
         self._grow(self.response, y=(0.0, 1.02 * float(np.nanmax(curve.response))))
@@ -158,12 +147,10 @@ class LivePicture:
             (x, axes.get_xlim, axes.set_xlim),
             (y, axes.get_ylim, axes.set_ylim),
         ):
-            if wanted is None:
-                continue
             low, high = get()
-            below, above = min(low, wanted[0]), max(high, wanted[1])
-            if (below, above) != (low, high):
-                put(below * (1.1 if below < low else 1.0), above * (1.1 if above > high else 1.0))
+            below, above = wanted or (low, high)
+            if below < low or above > high:
+                put(1.1 * below if below < low else low, 1.1 * above if above > high else high)
                 self.background = None
 
     def show_curve(self, curve: LiveCurve) -> None:
@@ -182,25 +169,25 @@ class LivePicture:
             # Markers of the two directions stand side by side.
             off = 0.25 * way * (places[1] - places[0])
             self.lines[name].set_data(*sweep.places(places[1:-1] + off).T)
-            broken = [np.vstack([jump, [[np.nan, np.nan]]]) for jump in sweep.jumps]
-            data = np.concatenate([np.zeros((0, 2)), *broken])
-            self.lines[f"{name} jumps"].set_data(*data.T)
+            broken = np.full((len(sweep.jumps), 3, 2), np.nan)  # a gap after each jump
+            broken[:, :2] = np.reshape(sweep.jumps, (-1, 2, 2))
+            self.lines[f"{name} jumps"].set_data(*broken.reshape(-1, 2).T)
         if len(y):
             self._hold(curve)
         self.points = self.response.transData.transform(np.stack([x, y], axis=1))
 
-    def show_orbit(self, curve: LiveCurve, orbit: LiveOrbit | None, at: int | None) -> None:
-        """Take the data of the orbit of a point of the curve."""
-        if orbit is None or at is None:
+    def show_orbit(self, curve: LiveCurve, at: int | None) -> None:
+        """Take the data of the orbit of a point of the curve; of none without a point."""
+        if at is None:
             for name in ("orbit", "portrait", "contact", "force"):
                 self.lines[name].set_data([], [])
             return
-        self.lines["orbit"].set_data([curve.frequency[at]], [curve.response[at]])
+        orbit = orbit_at(curve, at)
         x, y = 1e3 * orbit.displacement, orbit.velocity
+        self.lines["orbit"].set_data([curve.frequency[at]], [curve.response[at]])
         self.lines["portrait"].set_data(x, y)
         self.lines["contact"].set_data(x, np.where(orbit.touching, y, np.nan))
-        force = orbit.contact_force.sum(axis=0)
-        self.lines["force"].set_data(orbit.phase, force)
+        self.lines["force"].set_data(orbit.phase, orbit.contact_force.sum(axis=0))
         self._hold_orbit(orbit)
 
     def nearest(self, x: float, y: float) -> int | None:

@@ -40,7 +40,7 @@ def swept_curve(curve: LiveCurve, way: int) -> Sweep:
     pieces, jumps = [], []
     if way < 0 and curve.ending is not Ending.completed:
         return Sweep(pieces, jumps)  # where the range ends, the branch was not found
-    last = _first(frequency, stable, way)
+    last = int(np.argmin(np.where(stable, way * frequency, np.inf))) if stable.any() else None
     while last is not None and len(pieces) < MOST_PIECES:
         index, at_fold = _onwards(frequency, stable, last, way)
         if len(index) > 1:
@@ -58,13 +58,6 @@ def swept_curve(curve: LiveCurve, way: int) -> Sweep:
         jumps.append(np.array([[here, response[last]], [here, arrived]]))
         last = high if way * (frequency[high] - frequency[low]) > 0 else low
     return Sweep(pieces, jumps)
-
-
-def _first(frequency, stable, way: int) -> int | None:
-    """First stable point that a sweep reaches."""
-    if not stable.any():
-        return None
-    return int(np.argmin(np.where(stable, way * frequency, np.inf)))
 
 
 def _onwards(frequency, stable, at: int, way: int) -> tuple[list[int], bool]:

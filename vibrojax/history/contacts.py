@@ -1,17 +1,19 @@
 """The contacts of a history, one by one, and its largest values: exact between the samples."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
-from vibrojax._tools.checks import check_range, is_traced, nearest
+from vibrojax._tools.checks import check_range, nearest
 from vibrojax._tools.signatures import validated
-from vibrojax.history.between_samples import contact_rows, largest
-from vibrojax.history.finer_steps import Rows
-from vibrojax.history.samples import SampledMotion
-from vibrojax.results.status import Status
+from vibrojax.history.between_samples import engine_of
+from vibrojax.history.finer_steps import OF_STOPS, Cells
+from vibrojax.history.quantities import table
+from vibrojax.history.samples import SampledMotion, times_of
+from vibrojax.results.variables import with_unit
 
 if TYPE_CHECKING:
     import xarray
@@ -83,14 +85,7 @@ class Contacts:
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset over contact, with units and long names."""
-        import xarray
-
-        data = {
-            name: ("contact", getattr(self, name), {"units": units, "long_name": label})
-            for name, (units, label) in COLUMNS.items()
-        }
-        number = {"units": "1", "long_name": "Contact, from 1"}
-        return xarray.Dataset(data, {"contact": ("contact", np.arange(1, len(self) + 1), number)})
+        return table("contact", {n: (getattr(self, n), *COLUMNS[n]) for n in COLUMNS})
 
     @validated
     def plot(self, *columns: str) -> "Figure":
@@ -105,7 +100,7 @@ class Contacts:
                 raise ValueError(f"Unknown column {name!r}. {nearest(str(name), COLUMNS)}")
         if not len(self):
             raise ValueError("There are no contacts to draw.")
-        from vibrojax.plot.contacts import plot_contacts
+        from vibrojax.plot.history import plot_contacts
 
         return plot_contacts(self.to_xarray(), columns)
 
@@ -113,69 +108,71 @@ class Contacts:
         head = f"Contacts({len(self)})"
         if not len(self):
             return head
-        names = {
-            "stop": "stop",
-            "touch": "touch [s]",
-            "duration": "duration [s]",
-            "peak_force": "peak force [N]",
-            "penetration": "penetration [m]",
-            "approach_speed": "approach [m/s]",
-            "restitution": "restitution",
-            "energy_lost": "energy lost [J]",
-        }
-        lines = [head, "  ".join(f"{label:>15s}" for label in names.values())]
-        for i in range(min(len(self), SHOWN)):
-            values = (getattr(self, name)[i] for name in names)
-            lines.append("  ".join(f"{value:>15.6g}" for value in values))
-        if len(self) > SHOWN:
-            lines.append(f"... and {len(self) - SHOWN} more")
-        return "\n".join(lines)
+        names = ("stop", "touch", "duration", "peak_force", "penetration", "approach_speed")
+        names = (*names, "restitution", "energy_lost")
+        heads = [with_unit(name.replace("_", " "), COLUMNS[name][0]) for name in names]
+        rows = [[f"{getattr(self, n)[i]:.6g}" for n in names] for i in range(len(self))[:SHOWN]]
+        more = [f"... and {len(self) - SHOWN} more"] if len(self) > SHOWN else []
+        lines = ["  ".join(f"{value:>15s}" for value in row) for row in (heads, *rows)]
+        return "\n".join([head, *lines, *more])
 
 
 def contacts_of(history: SampledMotion) -> Contacts:
     """Tabulate the contacts of a history; see `History.contacts`."""
-    time, states = samples_of(history, "contacts")
-    found = contact_rows(history.motion, time, states)
-    tables = [_contacts(rows, stop + 1) for stop, rows in enumerate(found)]
-    tables = tables or [{field.name: np.zeros(0) for field in fields(Contacts)}]
-    columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    time, states = times_of(history, "contacts"), np.asarray(history.states)
+    touched, total = [], 0
+    for cells in engine_of(history.motion).cells(history.motion, time, states):
+        total = max(total, int(cells.number[-1]) + 1)
+        kept = (cells.here | cells.there).any(axis=0)
+        touched.append(Cells(*(column[..., kept] for column in cells)))
+    found = Cells(*(np.concatenate(column, axis=-1) for column in zip(*touched, strict=True)))
+    tables = [_contacts(found, stop, total) for stop in range(len(found.here))]
+    tables = tables or [{name: np.zeros(0) for name in COLUMNS}]
+    columns = {name: np.concatenate([table[name] for table in tables]) for name in COLUMNS}
     begun = np.where(np.isnan(columns["touch"]), time[0], columns["touch"])
     order = np.argsort(begun, kind="stable")
     columns = {name: column[order] for name, column in columns.items()}
-    columns["stop"] = columns["stop"].astype(int)
-    return Contacts(**columns)
+    return Contacts(**columns | {"stop": columns["stop"].astype(int)})
 
 
-def _contacts(rows: Rows, stop: int) -> dict[str, np.ndarray]:
-    """Join the stretches of one stop to contacts."""
-    (first,) = np.nonzero(~rows.follows)
+def _contacts(cells: Cells, stop: int, total: int) -> dict[str, np.ndarray]:
+    """Join the cells in which one stop is touched to contacts."""
+    on = cells.here[stop] | cells.there[stop]
+    number = cells.number[on]
+    own = SimpleNamespace(**{name: getattr(cells, name)[stop, on] for name in OF_STOPS})
+    follows = np.zeros(number.size, bool)
+    follows[1:] = (np.diff(number) == 1) & own.there[:-1] & own.here[1:]
+    (first,) = np.nonzero(~follows)
     count = first.size
-    last = np.append(first[1:], rows.start.size)[:count] - 1
+    last = np.append(first[1:], number.size)[:count] - 1
 
     def joined(function, values):
         return function.reduceat(values, first) if count else np.zeros(0)
 
-    touch = np.where(rows.touched[first], rows.start[first], np.nan)
-    departure = np.where(rows.departed[last], rows.end[last], np.nan)
+    # Not known where the history begins or ends in contact.
+    cut = own.here[first] & (number[first] == 0)
+    touch = np.where(cut, np.nan, own.start[first])
+    cut = own.there[last] & (number[last] == total - 1)
+    departure = np.where(cut, np.nan, own.end[last])
     # NaN where the end is not known, else 0.
     begun, ended = touch - touch, departure - departure
-    approach, leaving = rows.rate_start[first] + begun, ended - rows.rate_end[last]
-    kept = np.where(np.isnan(ended), 0.0, rows.stored_end[last])
-    brought = np.where(np.isnan(begun), 0.0, rows.stored_start[first])
+    approach, leaving = own.rate_start[first] + begun, ended - own.rate_end[last]
+    kept = np.where(np.isnan(ended), 0.0, own.stored_end[last])
+    brought = np.where(np.isnan(begun), 0.0, own.stored_start[first])
     moving = approach > 0
     return {
-        "stop": np.full(count, float(stop)),
+        "stop": np.full(count, stop + 1.0),
         "touch": touch,
         "departure": departure,
         "duration": departure - touch,
-        "peak_force": joined(np.maximum, rows.highest),
-        "lowest_force": joined(np.minimum, rows.lowest),
-        "penetration": joined(np.maximum, rows.deepest),
-        "impulse": joined(np.add, rows.impulse),
+        "peak_force": joined(np.maximum, own.highest),
+        "lowest_force": joined(np.minimum, own.lowest),
+        "penetration": joined(np.maximum, own.deepest),
+        "impulse": joined(np.add, own.impulse),
         "approach_speed": approach,
         "departure_speed": leaving,
         "restitution": np.where(moving, leaving / np.where(moving, approach, 1.0), np.nan),
-        "energy_lost": joined(np.add, rows.loss) + kept - brought,
+        "energy_lost": joined(np.add, own.loss) + kept - brought,
     }
 
 
@@ -186,33 +183,12 @@ def peak_of(
     start: float | int,
 ) -> Peak:
     """Return the largest value of a quantity; see `History.peak`."""
-    time, states = samples_of(history, "peaks")
+    time, states = times_of(history, "peaks"), np.asarray(history.states)
     allowed = f"at most {time[-1]:.6g} s, the end of the history"
     check_range("start", start, -np.inf, time[-1], allowed=allowed)
     if quantity == "contact_force":
         shape = np.zeros(history.coordinates.shape[1])
     else:
         shape = np.asarray(history.shape_at(position))
+    largest = engine_of(history.motion).largest
     return Peak(*largest(history.motion, time, states, quantity, shape, float(start)))
-
-
-def samples_of(
-    history: SampledMotion, what: str
-) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, "samples states"]]:
-    """Return times and states of one finished history.
-
-    Raises `ValueError` for a traced one, lanes, one that diverged and one of a single sample.
-    """
-    if is_traced(history.time) or np.ndim(history.time) != 1:
-        raise ValueError(
-            f"The {what} are those of one history outside jit and vmap, got lanes of shape "
-            f"{np.shape(history.time)[:-1]}. Take one: jax.tree.map(lambda a: a[0], history)."
-        )
-    if int(history.status) != Status.completed.value:
-        status = Status(int(history.status)).name
-        raise ValueError(f"This history has no {what}: its status is {status}.")
-    time = np.asarray(history.time)
-    if time.size < 2:
-        raise ValueError(f"A history of one sample has no {what}.")
-    columns = (history.coordinates, history.rates, history.memory)
-    return time, np.concatenate([np.asarray(c) for c in columns], axis=1)

@@ -5,48 +5,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax._tools.checks import is_traced
-from vibrojax.history.quantities import quantity_of
-from vibrojax.history.samples import SampledMotion
-from vibrojax.results.status import Status
 
+def curve_through(time: Float[np.ndarray, " samples"], values: Any, rates: Any) -> Any:
+    """Return the piecewise cubic of scipy through values and rates at times (s).
 
-def check_whole(history: SampledMotion, what: str) -> None:
-    """Raise `ValueError` unless it is one finished history of known numbers."""
-    if is_traced(history.time) or np.ndim(history.time) != 1:
-        raise ValueError(
-            f"{what} are those of one history outside jit and vmap, got lanes of shape "
-            f"{np.shape(history.time)[:-1]}. Take one: jax.tree.map(lambda a: a[0], history)."
-        )
-    if int(history.status) != Status.completed.value:
-        status = Status(int(history.status)).name
-        raise ValueError(f"{what} cannot be read from this history: its status is {status}.")
-    if history.time.size < 2:
-        raise ValueError(f"{what} cannot be read from a history of one sample.")
-
-
-def curve_of(history: SampledMotion, quantity: str) -> Any:
-    """Return a quantity as a piecewise cubic of scipy over time (s).
-
-    Through values and rates at the samples; where the rate may jump, without overshoot.
+    Without overshoot where the rate is None, as of what may jump.
     """
-    values, rates = quantity_of(history, quantity)
-    return curve_through(
-        np.asarray(history.time), np.asarray(values), None if rates is None else np.asarray(rates)
-    )
-
-
-def curve_through(
-    time: Float[np.ndarray, " samples"],
-    values: Float[np.ndarray, " samples"],
-    rates: Float[np.ndarray, " samples"] | None,
-) -> Any:
-    """Return the piecewise cubic of scipy through values, with their rates if there are any."""
     from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
     if rates is None:
-        return PchipInterpolator(time, values)
-    return CubicHermiteSpline(time, values, rates)
+        return PchipInterpolator(time, np.asarray(values))
+    return CubicHermiteSpline(time, np.asarray(values), np.asarray(rates))
 
 
 def crossings(

@@ -11,11 +11,18 @@ from jaxtyping import Float, Int
 from vibrojax._tools.checks import check_count, check_not_negative, check_positive, concrete
 from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
-from vibrojax.history.crossings import check_whole, crossings, curve_of
-from vibrojax.history.quantities import check_quantity, observables_of, quantity_of, unit_and_label
-from vibrojax.history.samples import SampledMotion
+from vibrojax.history.crossings import crossings, curve_through
+from vibrojax.history.quantities import (
+    check_quantity,
+    dataset,
+    observables_of,
+    quantity_of,
+    table,
+    unit_and_label,
+)
+from vibrojax.history.samples import SampledMotion, times_of
 from vibrojax.results.status import Status
-from vibrojax.results.variables import VARIABLES, described_as
+from vibrojax.results.variables import VARIABLES
 
 if TYPE_CHECKING:
     import xarray
@@ -24,7 +31,6 @@ if TYPE_CHECKING:
 
 HYSTERESIS = 0.3
 """Default threshold over the rms of the quantity about the level."""
-COLUMNS = ("start", "length", "drive_periods", "drive_frequency", "peak_to_peak")
 LARGEST = ("chord_reduction", "strain_energy")
 """Observables whose largest value in each cycle is kept, where the system has them."""
 WITHIN = 0.25
@@ -86,18 +92,20 @@ class Cycles:
             if part.largest.keys() != first.largest.keys():
                 raise ValueError("Cycles of systems with different observables cannot be pooled.")
         before = np.cumsum([0, *(len(part.threshold) + part.left_out for part in parts)])
+        moved = [part.history + n for part, n in zip(parts, before[:-1], strict=True)]
+        columns = ("start", "length", "drive_periods", "drive_frequency", "peak_to_peak")
         return cls(
-            history=np.concatenate(
-                [part.history + n for part, n in zip(parts, before[:-1], strict=True)]
-            ),
-            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS},
+            history=np.concatenate(moved),
+            **{
+                name: np.concatenate([getattr(part, name) for part in parts])
+                for name in (*columns, "threshold")
+            },
             largest={
                 name: np.concatenate([part.largest[name] for part in parts])
                 for name in first.largest
             },
             quantity=first.quantity,
             level=first.level,
-            threshold=np.concatenate([part.threshold for part in parts]),
             left_out=sum(part.left_out for part in parts),
         )
 
@@ -121,8 +129,6 @@ class Cycles:
         bin without cycles), `share_of_3`, ..., and the largest of each observable. Source of the
         picture: Litak et al., fig. 4. Raises `ValueError` for edges that do not increase.
         """
-        import xarray
-
         bounds = np.asarray(edges, float)
         if bounds.ndim != 1 or len(bounds) < 2 or not (np.diff(bounds) > 0).all():
             raise ValueError(
@@ -134,42 +140,36 @@ class Cycles:
             check_positive(f"share_of[{order!r}]", within, "(drive periods)")
         bins = np.searchsorted(bounds, self.drive_frequency, side="right") - 1
         groups = [np.flatnonzero(bins == k) for k in range(len(bounds) - 1)]
+        data: dict[str, Any] = {}
 
-        def each(read: Any) -> Float[np.ndarray, " bins"]:
-            return np.array([read(group) if group.size else np.nan for group in groups], float)
-
-        def described(long_name: str, units: str = "1") -> dict[str, str]:
-            return {"units": units, "long_name": long_name}
+        def add(name: str, values: Any, read: Any, label: str, units: str = "1") -> None:
+            found = [read(values[group]) if group.size else np.nan for group in groups]
+            data[name] = "frequency", np.array(found, float), units, label
 
         length = self.drive_periods
-        data: dict[str, Any] = {"count": ([len(g) for g in groups], described("Cycles"))}
+        data["count"] = "frequency", [len(group) for group in groups], "1", "Cycles"
         for name, read in (
             ("median", np.median),
             ("mean", np.mean),
             ("standard_deviation", np.std),
         ):
             words = f"{name.replace('_', ' ').capitalize()} of the cycle length in drive periods"
-            data[name] = each(lambda g, read=read: read(length[g])), described(words)
+            add(name, length, read, words)
         for order, within in share_of.items():
-            share = each(lambda g, n=order, w=within: np.mean(np.abs(length[g] - n) <= w))
             words = f"Share of cycles within {within:g} of {order} drive periods"
-            data[f"share_of_{order}"] = share, described(words)
+            add(f"share_of_{order}", np.abs(length - order) <= within, np.mean, words)
         for name, values in self.largest.items():
             units, label = unit_and_label(name)
-            most = each(lambda g, values=values: np.max(values[g]))
-            data[f"largest_{name}"] = most, described(f"Largest {label.lower()}", units)
-        hertz = {"frequency": (bounds[1:] + bounds[:-1]) / 2}
-        hertz |= {"lower_edge": bounds[:-1], "upper_edge": bounds[1:]}
-        names = ("Drive frequency", "Lower edge of the bin", "Upper edge of the bin")
-        coordinates = {
-            name: ("frequency", values, described(words, "Hz"))
-            for (name, values), words in zip(hertz.items(), names, strict=True)
+            add(f"largest_{name}", values, np.max, f"Largest {label.lower()}", units)
+        hertz = {
+            "frequency": ((bounds[1:] + bounds[:-1]) / 2, "Drive frequency"),
+            "lower_edge": (bounds[:-1], "Lower edge of the bin"),
+            "upper_edge": (bounds[1:], "Upper edge of the bin"),
         }
-        return xarray.Dataset(
-            {name: ("frequency", values, attrs) for name, (values, attrs) in data.items()},
-            coordinates,
-            attrs=self._settings(),
-        )
+        data |= {
+            name: ("frequency", values, "Hz", label) for name, (values, label) in hertz.items()
+        }
+        return dataset(data, {}, self._settings()).set_coords(list(hertz))
 
     def _settings(self) -> dict[str, Any]:
         return {
@@ -182,30 +182,23 @@ class Cycles:
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset over cycle, with units and long names."""
-        import xarray
-
         units, label = unit_and_label(self.quantity)
-        described = {
-            "start": ("s", "Start of the cycle"),
-            "length": ("s", "Length of the cycle"),
-            "drive_periods": VARIABLES["drive_periods"],
-            "drive_frequency": ("Hz", "Drive frequency at the middle of the cycle"),
-            "peak_to_peak": (units, f"{label}, peak to peak"),
-            "history": ("1", "History, from 1"),
+        columns = {
+            "start": (self.start, "s", "Start of the cycle"),
+            "length": (self.length, "s", "Length of the cycle"),
+            "drive_periods": (self.drive_periods, *VARIABLES["drive_periods"]),
+            "drive_frequency": (
+                self.drive_frequency,
+                "Hz",
+                "Drive frequency at the middle of the cycle",
+            ),
+            "peak_to_peak": (self.peak_to_peak, units, f"{label}, peak to peak"),
+            "history": (self.history, "1", "History, from 1"),
         }
-        columns = {name: getattr(self, name) for name in described}
         for name, values in self.largest.items():
             units, label = unit_and_label(name)
-            described[f"largest_{name}"] = units, f"Largest {label.lower()} of the cycle"
-            columns[f"largest_{name}"] = values
-        data = {
-            name: ("cycle", values, dict(zip(("units", "long_name"), described[name], strict=True)))
-            for name, values in columns.items()
-        }
-        cycle = np.arange(1, len(self) + 1)
-        return xarray.Dataset(
-            data, {"cycle": ("cycle", cycle, described_as("cycle"))}, attrs=self._settings()
-        )
+            columns[f"largest_{name}"] = values, units, f"Largest {label.lower()} of the cycle"
+        return table("cycle", columns, self._settings())
 
     @validated
     def plot(self, orders: Sequence[int] = (1, 3, 5)) -> "Figure":
@@ -216,26 +209,23 @@ class Cycles:
         """
         for order in orders:
             check_count("orders", order)
-        from vibrojax.plot.cycles import plot_cycles
+        from vibrojax.plot.history import plot_cycles
 
         quantity = unit_and_label(self.quantity)[1].lower()
         return plot_cycles(self.to_xarray(), tuple(orders), quantity)
 
     def __repr__(self) -> str:
         count = len(self.threshold)
-        head = (
-            f"Cycles({len(self)} of {self.quantity}, {count} histor{'y' if count == 1 else 'ies'}"
-        )
+        plural = "y" if count == 1 else "ies"
+        parts = [f"{len(self)} of {self.quantity}, {count} histor{plural}"]
         if self.left_out:
-            head += f", {self.left_out} more diverged"
-        if not len(self):
-            return head + ")"
-        low, high = self.drive_frequency.min(), self.drive_frequency.max()
-        middle, spread = np.median(self.drive_periods), np.std(self.drive_periods)
-        return (
-            f"{head}, {low:.4g} to {high:.4g} Hz, median {middle:.4g} drive periods, standard "
-            f"deviation {spread:.3g})"
-        )
+            parts.append(f"{self.left_out} more diverged")
+        if len(self):
+            low, high = self.drive_frequency.min(), self.drive_frequency.max()
+            parts.append(f"{low:.4g} to {high:.4g} Hz")
+            parts.append(f"median {np.median(self.drive_periods):.4g} drive periods")
+            parts.append(f"standard deviation {np.std(self.drive_periods):.3g}")
+        return f"Cycles({', '.join(parts)})"
 
 
 def cycles_of(
@@ -243,15 +233,20 @@ def cycles_of(
 ) -> Cycles:
     """Read the cycles of one history; see `History.cycles`."""
     check_quantity(history.motion.equations, quantity)
-    check_whole(history, "Cycles")
+    time = times_of(history, "cycles")
     if threshold is not None:
         check_not_negative("threshold", threshold, unit_and_label(quantity)[0])
     if concrete(level) is None or not np.isfinite(level):
         raise ValueError(f"level must be a finite number, got {level!r}.")
-    time, values = np.asarray(history.time), np.asarray(quantity_of(history, quantity)[0])
+    values, rates = quantity_of(history, quantity)
+    values = np.asarray(values)
     if threshold is None:
         threshold = HYSTERESIS * float(np.sqrt(np.mean((values - level) ** 2)))
-    ends = counted(curve_of(history, quantity), time, values, float(level), float(threshold))
+    ups = crossings(curve_through(time, values, rates), float(level), "upwards")
+    armed = np.searchsorted(time[values < level - threshold], ups)
+    # The first up-crossing after every stretch below; before any there is nothing to end.
+    _, counted = np.unique(armed, return_index=True)
+    ends = ups[counted[armed[counted] > 0]]
     phase, _, _ = history.motion.waveform.phase(jnp.asarray(ends))
     middle = (ends[1:] + ends[:-1]) / 2
     _, rate, _ = history.motion.waveform.phase(jnp.asarray(middle))
@@ -274,23 +269,6 @@ def cycles_of(
         level=float(level),
         threshold=np.array([threshold], float),
     )
-
-
-def counted(
-    curve: Any,
-    time: Float[np.ndarray, " samples"],
-    values: Float[np.ndarray, " samples"],
-    level: float | int,
-    threshold: float | int,
-) -> Float[np.ndarray, " crossings"]:
-    """Return the times (s) of the up-crossings that count; see `Cycles`."""
-    ups = crossings(curve, level, "upwards")
-    low = time[values < level - threshold]
-    armed = np.searchsorted(low, ups)
-    # The first up-crossing after every stretch below; before any there is nothing to end.
-    _, first = np.unique(armed, return_index=True)
-    first = first[armed[first] > 0]
-    return ups[first]
 
 
 def cycles_of_each(

@@ -8,10 +8,9 @@ from jaxtyping import Float
 
 from vibrojax._tools.checks import check_choice
 from vibrojax._tools.signatures import validated
-from vibrojax.history.between_samples import flow
-from vibrojax.history.contacts import samples_of
-from vibrojax.history.samples import SampledMotion
-from vibrojax.results.variables import described_as
+from vibrojax.history.between_samples import engine_of
+from vibrojax.history.quantities import dataset, numbered
+from vibrojax.history.samples import SampledMotion, times_of
 
 if TYPE_CHECKING:
     import xarray
@@ -87,26 +86,22 @@ class EnergyFlow:
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset over time, mode and stop, with units and long names."""
-        import xarray
-
-        def named(values, units, long_name, *dims):
-            return (("time", *dims), values, {"units": units, "long_name": long_name})
-
-        data = {
-            "modal_energy": named(self.modal_energy, "J", "Energy of the modes", "mode"),
-            "share": named(self.share, "1", "Share of the energy of the body", "mode"),
-            "stop_energy": named(self.stop_energy, "J", "Energy stored in the stops", "stop"),
-            "beam_loss": named(self.beam_loss, "J", "Cumulated loss by modal damping", "mode"),
-            "contact_loss": named(self.contact_loss, "J", "Cumulated loss in the stops", "stop"),
-            "input_work": named(self.input_work, "J", "Cumulated work of the drive"),
-            "balance": named(self.balance, "1", "Energy unaccounted for, by the largest"),
+        over_mode, over_stop, over_time = ("time", "mode"), ("time", "stop"), ("time",)
+        described = {
+            "modal_energy": ("J", "Energy of the modes", over_mode),
+            "share": ("1", "Share of the energy of the body", over_mode),
+            "stop_energy": ("J", "Energy stored in the stops", over_stop),
+            "beam_loss": ("J", "Cumulated loss by modal damping", over_mode),
+            "contact_loss": ("J", "Cumulated loss in the stops", over_stop),
+            "input_work": ("J", "Cumulated work of the drive", over_time),
+            "balance": ("1", "Energy unaccounted for, by the largest", over_time),
+            "time": ("s", "Time", over_time),
         }
-        coordinates = {
-            "time": ("time", self.time, {"units": "s", "long_name": "Time"}),
-            "mode": ("mode", np.arange(1, self.modal_energy.shape[1] + 1), described_as("mode")),
-            "stop": ("stop", np.arange(1, self.stop_energy.shape[1] + 1), described_as("stop")),
-        }
-        return xarray.Dataset(data, coordinates)
+        return dataset(
+            {name: (dims, getattr(self, name), *told) for name, (*told, dims) in described.items()},
+            numbered("mode", self.modal_energy.shape[1])
+            | numbered("stop", self.stop_energy.shape[1]),
+        )
 
     @validated
     def plot(self, kind: str = "stacked") -> "Figure":
@@ -118,7 +113,7 @@ class EnergyFlow:
         Raises `ValueError` for another kind.
         """
         check_choice("kind", kind, KINDS)
-        from vibrojax.plot.energy import plot_energy
+        from vibrojax.plot.history import plot_energy
 
         return plot_energy(self.to_xarray(), kind)
 
@@ -133,23 +128,25 @@ class EnergyFlow:
 
 def energy_of(history: SampledMotion) -> EnergyFlow:
     """Follow the energy of a history; see `History.energy`."""
-    time, states = samples_of(history, "energies")
-    between = flow(history.motion, time, states)
-    equations = history.motion.equations
-    stiffness = np.asarray(equations.modal_stiffness)  # pyright: ignore[reportAttributeAccessIssue]
-    mass = np.asarray(equations.modal_mass)  # pyright: ignore[reportAttributeAccessIssue]
-    n = mass.size
-    q, rate = states[:, :n], states[:, n : 2 * n]
-
-    def cumulated(values):
-        zero = np.zeros((1, *values.shape[1:]))
-        return np.concatenate([zero, np.cumsum(values, axis=0)])
-
+    time, states = times_of(history, "energies"), np.asarray(history.states)
+    engine, equations = engine_of(history.motion), history.motion.equations
+    mass, stiffness = (np.asarray(getattr(equations, f"modal_{n}")) for n in ("mass", "stiffness"))
+    n, stops, count = mass.size, history.contact_force.shape[1], time.size
+    beam_loss, input_work = np.zeros((count, n)), np.zeros(count)
+    taken, stored = np.zeros((count, stops)), np.zeros((count, stops))
+    for cells in engine.cells(history.motion, time, states):
+        np.add.at(beam_loss, cells.interval + 1, cells.beam_loss.T)
+        np.add.at(input_work, cells.interval + 1, cells.input_work)
+        work = cells.loss + cells.stored_end - cells.stored_start
+        np.add.at(taken, cells.interval + 1, work.T)
+        intervals, first = np.unique(cells.interval, return_index=True)
+        stored[intervals] = cells.stored_start.T[first]
+        stored[-1] = cells.stored_end[:, -1]
     return EnergyFlow(
         time=time,
-        modal_energy=mass * (rate**2 + stiffness * q**2) / 2,
-        stop_energy=between.stop_energy,
-        beam_loss=cumulated(between.beam_loss),
-        contact_loss=cumulated(between.contact_loss),
-        input_work=cumulated(between.input_work),
+        modal_energy=mass * (states[:, n : 2 * n] ** 2 + stiffness * states[:, :n] ** 2) / 2,
+        stop_energy=stored,
+        beam_loss=np.cumsum(beam_loss, axis=0),
+        contact_loss=np.cumsum(taken, axis=0) - (stored - stored[0]),
+        input_work=np.cumsum(input_work),
     )

@@ -6,7 +6,7 @@ changes, and so on to the next sample. What comes out are pieces on which everyt
 Pieces are worked through in batches of one phase and one length, so that compiled code is reused.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int, Shaped
 
-from vibrojax.model.equations import LinearEquations
+from vibrojax._tools.compiled import compiled
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.stepping.cubic import Cubic, cubic_between
@@ -23,7 +23,6 @@ from vibrojax.stepping.phase_motion import (
     OfStops,
     PerLane,
     Phase,
-    PhaseMotion,
     begin_phase,
     breach_of,
     contact_indicator,
@@ -42,15 +41,6 @@ NEAR = 1e-12
 """Depth, by the largest displacement, below which the direction says whether a stop is touched."""
 
 
-class Drives(NamedTuple):
-    """What drives every interval: of a chirp the frequency and amplitude of its middle."""
-
-    angle: Float[np.ndarray, " intervals"]
-    """Drive phase where the interval begins, rad."""
-    rate: Float[np.ndarray, " intervals"]
-    amplitude: Complex[np.ndarray, " intervals"]
-
-
 class Pieces(NamedTuple):
     """Stretches of a motion in one phase each, in order of time."""
 
@@ -59,82 +49,71 @@ class Pieces(NamedTuple):
     """s after the sample before it."""
     end: Float[np.ndarray, " pieces"]
     phase: Int[np.ndarray, " pieces"]
-    state: Float[np.ndarray, "pieces states"]
+    state: Float[np.ndarray, "states pieces"]
     """(q, q') where the piece begins."""
+    angle: Float[np.ndarray, " pieces"]
+    """Drive phase there, rad."""
+    rate: Float[np.ndarray, " pieces"]
+    """Of the drive phase, rad/s: of a chirp in the middle of the interval, as the amplitude."""
+    amplitude: Complex[np.ndarray, " pieces"]
+
+    def at(self, index: Any) -> "Pieces":
+        """Return some of them."""
+        return Pieces(*(column[..., index] for column in self))
 
 
-def drives_of(motion: Motion, time: Float[np.ndarray, " samples"]) -> Drives:
-    """Tabulate the drive of every interval."""
-    angle, rate, amplitude = _drives(motion, jnp.asarray(time[:-1]), jnp.asarray(np.diff(time)))
-    angle = np.asarray(angle)
-    turns = np.round(angle / (2 * np.pi))
-    return Drives(angle - 2 * np.pi * turns, np.asarray(rate), np.asarray(amplitude))
-
-
-@eqx.filter_jit
-def _drives(
-    motion: Motion, start: Float[Array, " intervals"], duration: Float[Array, " intervals"]
-) -> tuple[Float[Array, " intervals"], Float[Array, " intervals"], Complex[Array, " intervals"]]:
-    angle, _, _ = motion.waveform.phase(start)
-    _, rate, second = motion.waveform.phase(start + duration / 2)
-    return angle, rate, motion.drive.complex_amplitude(rate, second)
-
-
-@eqx.filter_jit
-def _starting_phase(
-    phases: ContactPhases,
-    equations: LinearEquations,
-    states: Float[Array, "states samples"],
-    drive_input: Float[Array, " samples"],
-    unit_rate: Number,
+@compiled
+def _begun(
+    motion: Motion,
+    states: Float[Array, "states intervals"],
+    time: Float[Array, " intervals"],
+    duration: Float[Array, " intervals"],
     near: Number,
-) -> Int[Array, " samples"]:
-    """Phase of every sample: near zero depth the direction decides."""
+) -> tuple[Array, ...]:
+    """Phase of contact of every sample (near zero depth the direction decides) and the drive."""
+    phases, equations = motion.prepared, motion.equations.linear_between_contacts
+    assert equations is not None  # checked before
     n = phases.num_blocks
-    q, v = states[:n], states[n:]
+    q, v = states[:n], states[n : 2 * n]
     depth = phases.towards_stop @ q - phases.gap[:, None]
     rate = phases.towards_stop @ v
 
     def indicator(acceleration: OfStops) -> tuple[OfStops, OfStops]:
-        return contact_indicator(
-            depth, rate, *pushes_of(phases, unit_rate, depth, rate, acceleration)
-        )
+        unit = equations.angular_frequency[0]
+        return contact_indicator(depth, rate, *pushes_of(phases, unit, depth, rate, acceleration))
 
     value, _ = indicator(jnp.zeros_like(depth))
     force = phases.stiffness[:, None] * depth + phases.damping[:, None] * rate
     free = jax.vmap(equations.linear_force, in_axes=1, out_axes=1)(q, v)
+    drive_input = motion.drive.input(motion.waveform, time)
     acceleration = equations.input_map[:, None] * drive_input - free / equations.modal_mass[:, None]
     acceleration = acceleration - phases.push_off @ jnp.where(value > 0, force, 0.0)
     value, slope = indicator(phases.towards_stop @ acceleration)
     touching = jnp.where(jnp.abs(value) <= near, slope > 0, value > 0)
     bits = (1 << np.arange(phases.num_stops))[:, None]
-    return jnp.sum(jnp.where(touching, bits, 0), axis=0)
+    angle, _, _ = motion.waveform.phase(time)
+    _, turn, second = motion.waveform.phase(time + duration / 2)
+    angle = angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
+    phase = jnp.sum(jnp.where(touching, bits, 0), axis=0)
+    return phase, states, angle, turn, motion.drive.complex_amplitude(turn, second)
 
 
-class _Cut(NamedTuple):
-    time: PerLane
-    """Where the piece ends, s after its start."""
-    stop: Int[Array, " lanes"]
-    """Which stop changes its contact there; -1 for none."""
-    state: Float[Array, "states lanes"]
-
-
-@eqx.filter_jit
+@compiled
 def _first_event(
     phases: ContactPhases,
+    unit_rate: Number,
+    near: Number,
+    places: int,
     phase: Phase,
     lanes: tuple[Array, ...],
     length: PerLane,
     last: Int[Array, " lanes"],
-    unit_rate: Number,
-    near: Number,
-    *,
-    places: int,
-) -> _Cut:
-    """Find the first event of lanes in one phase within a time `length`."""
+) -> tuple[PerLane, Int[Array, " lanes"], Float[Array, "states lanes"]]:
+    """Find the first event of lanes in one phase within a time `length`.
+
+    Returns when it is, which stop changes its contact there (-1: none), and the state.
+    """
     motion = begin_phase(phases, phase, *lanes)
-    if not phases.num_stops:
-        return _cut(phases, phase, motion, length, jnp.full(length.shape, -1))
     cell = length / places
     time = cell[:, None] * jnp.arange(places + 1)
 
@@ -191,21 +170,11 @@ def _first_event(
     top = high
     u, _, _ = jax.lax.fori_loop(0, 9, closer, (u, low, high))
     end = jnp.where(found, (first + jnp.where(missed, top, u)) * cell, length)
-    flips = jnp.where(found & ~missed, stop, -1)
     now = jnp.any(at_once, axis=0)
     end = jnp.where(now, 0.0, jnp.minimum(end, length))
-    return _cut(phases, phase, motion, end, jnp.where(now, jnp.argmax(at_once, axis=0), flips))
-
-
-def _cut(
-    phases: ContactPhases,
-    phase: Phase,
-    motion: PhaseMotion,
-    end: PerLane,
-    stop: Int[Array, " lanes"],
-) -> _Cut:
+    flips = jnp.where(now, jnp.argmax(at_once, axis=0), jnp.where(found & ~missed, stop, -1))
     blocks, _, _ = follow(phases, phase, motion, end)
-    return _Cut(end, stop, phases.to_state[phase] @ blocks)
+    return end, flips, phases.to_state[phase] @ blocks
 
 
 def places_for(phases: ContactPhases, interval: float) -> int:
@@ -225,96 +194,68 @@ def places_for(phases: ContactPhases, interval: float) -> int:
     return places
 
 
-def batches(phase: Int[np.ndarray, " items"], size: int) -> Iterator[tuple[int, Any, Any]]:
-    """Yield (phase, items, items filled up to `size`) so that each batch is of one phase."""
-    for p in np.unique(phase):
-        (all_items,) = np.nonzero(phase == p)
-        for k in range(0, all_items.size, size):
-            items = all_items[k : k + size]
-            yield int(p), items, np.pad(items, (0, size - items.size), mode="edge")
-
-
-def batch_size(places: int) -> int:
-    """Pieces to work through at a time."""
-    return max(64, 16384 // places)
-
-
-def lanes_of(pieces: Pieces, drives: Drives, items: Int[np.ndarray, " lanes"]) -> tuple[Array, ...]:
-    """Return state, angle, rate and amplitude of some pieces where they begin."""
-    interval = pieces.interval[items]
-    rate = drives.rate[interval]
-    angle = drives.angle[interval] + rate * pieces.start[items]
-    numbers = (pieces.state[items].T, angle, rate, drives.amplitude[interval])
-    return tuple(jnp.asarray(a) for a in numbers)
-
-
-def starting_phases(
-    motion: Motion, time: Float[np.ndarray, " samples"], states: Float[np.ndarray, "samples states"]
-) -> Int[np.ndarray, " samples"]:
-    """Return the phase of every sample."""
-    phases, equations = motion.prepared, motion.equations.linear_between_contacts
-    assert equations is not None
-    drive_input = motion.drive.input(motion.waveform, jnp.asarray(time))
-    unit_rate, near = _scales(phases, equations, states)
-    columns = jnp.asarray(states.T)
-    return np.asarray(_starting_phase(phases, equations, columns, drive_input, unit_rate, near))
-
-
-def _scales(
-    phases: ContactPhases, equations: LinearEquations, states: Float[np.ndarray, "samples states"]
-) -> tuple[Number, Number]:
-    unit_rate = equations.angular_frequency[0]
-    q = states[:, : phases.num_blocks]
-    reach = np.max(np.abs(q) @ np.abs(np.asarray(phases.towards_stop)).T, initial=0.0)
-    return unit_rate, jnp.asarray(NEAR * (reach + np.max(np.asarray(phases.gap), initial=0.0)))
+def over_pieces(
+    function: Callable[..., Any],
+    places: int,
+    pieces: Pieces,
+    *columns: Shaped[np.ndarray, " pieces"],
+) -> Any:
+    """Call `function(phase, lanes, *columns)` batch by batch; what it returns has lanes last."""
+    size, parts, order = max(64, 16384 // places), [], []
+    for phase in np.unique(pieces.phase):
+        (alike,) = np.nonzero(pieces.phase == phase)
+        for k in range(0, alike.size, size):
+            items = alike[k : k + size]
+            filled = np.pad(items, (0, size - items.size), mode="edge")
+            lanes = tuple(jnp.asarray(column[..., filled]) for column in pieces[4:])
+            rest = (jnp.asarray(column[filled]) for column in columns)
+            found = function(jnp.asarray(int(phase)), lanes, *rest)
+            parts.append(jax.tree.map(lambda a, n=items.size: np.asarray(a)[..., :n], found))
+            order.append(items)
+    back = np.argsort(np.concatenate(order))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1)[..., back], *parts)
 
 
 def exact_pieces(
     motion: Motion, time: Float[np.ndarray, " samples"], states: Float[np.ndarray, "samples states"]
-) -> tuple[Pieces, Drives]:
-    """Cut the motion between all samples into pieces of one phase.
+) -> tuple[Pieces, int]:
+    """Cut the motion between all samples into pieces of one phase; also return their `places_for`.
 
     Raises `ValueError` when an interval holds more than `MOST_ROUNDS` events.
     """
     phases, equations = motion.prepared, motion.equations.linear_between_contacts
-    duration, drives = np.diff(time), drives_of(motion, time)
+    assert equations is not None  # checked before
+    duration = np.diff(time)
     places = places_for(phases, float(np.max(duration)))
-    assert equations is not None
-    unit_rate, near = _scales(phases, equations, states)
-    begun = np.zeros(duration.size)
-    phase = starting_phases(motion, time, states)[:-1]
-    work = Pieces(np.arange(duration.size), begun, begun, phase, states[:-1])
+    q = states[:, : phases.num_blocks]
+    reach = np.max(np.abs(q) @ np.abs(np.asarray(phases.towards_stop)).T, initial=0.0)
+    near = jnp.asarray(NEAR * (reach + np.max(np.asarray(phases.gap), initial=0.0)))
+    columns, moments, lengths = map(jnp.asarray, (states[:-1].T, time[:-1], duration))
+    begun = map(np.asarray, _begun(motion, columns, moments, lengths, near))
+    work = Pieces(np.arange(duration.size), np.zeros(duration.size), duration, *begun)
+    if not phases.num_stops:
+        return work, places
+    event = eqx.Partial(_first_event, phases, equations.angular_frequency[0], near, places)
     last = np.full(duration.size, -1)
     done: list[Pieces] = []
     for _ in range(MOST_ROUNDS):
         left = duration[work.interval] - work.start
-        end, stop, after = np.zeros(left.size), np.zeros(left.size, int), np.zeros(work.state.shape)
-        for p, items, filled in batches(work.phase, batch_size(places)):
-            cut = _first_event(
-                phases,
-                jnp.asarray(p),
-                lanes_of(work, drives, filled),
-                jnp.asarray(left[filled]),
-                jnp.asarray(last[filled]),
-                unit_rate,
-                near,
-                places=places,
-            )
-            end[items], stop[items], after[items] = (
-                np.asarray(a).T[: items.size] for a in (cut.time, cut.stop, cut.state)
-            )
+        end, stop, state = over_pieces(event, places, work, left, last)
         done.append(work._replace(end=work.start + end))
         (on,) = np.nonzero((stop >= 0) | (end < left * (1 - 1e-12)))
         if not on.size:
             break
-        flipped = work.phase[on] ^ np.where(stop[on] >= 0, 1 << np.maximum(stop[on], 0), 0)
-        start, last = work.start[on] + end[on], stop[on]
-        work = Pieces(work.interval[on], start, start, flipped, after[on])
+        kept, end, last = work.at(on), end[on], stop[on]
+        work = kept._replace(
+            start=kept.start + end,
+            phase=kept.phase ^ np.where(last >= 0, 1 << np.maximum(last, 0), 0),
+            state=state[:, on],
+            angle=kept.angle + kept.rate * end,
+        )
     else:
         raise ValueError(
             f"More than {MOST_ROUNDS} touches and departures within {np.max(duration):.4g} s, at "
             f"t = {time[work.interval[0]]:.6g} s: sample finer (samples_per_period)."
         )
-    whole = Pieces(*(np.concatenate(column) for column in zip(*done, strict=True)))
-    order = np.argsort(whole.interval, kind="stable")
-    return Pieces(*(column[order] for column in whole)), drives
+    whole = Pieces(*(np.concatenate(column, axis=-1) for column in zip(*done, strict=True)))
+    return whole.at(np.argsort(whole.interval, kind="stable")), places

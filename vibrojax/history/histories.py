@@ -57,7 +57,7 @@ class Histories(eqx.Module):
 
         `values` are numbers by name of the axes.
         """
-        place, _, missing = pick(self.axes, values)
+        place, missing = pick(self.axes, values)
         if missing:
             such = example(self.axes, missing[0])
             raise ValueError(f"Give a value of {missing[0]} too, such as {such}.")
@@ -105,7 +105,7 @@ class Histories(eqx.Module):
             lines.append((np.asarray(history.time), values, ", ".join(words)))
         title = f"{len(lines)} of {count} histories" if len(lines) < count else ""
         units, label = unit_and_label(quantity)
-        from vibrojax.plot.histories import plot_histories
+        from vibrojax.plot.history import plot_histories
 
         return plot_histories(lines, with_unit(label, units), title)
 
@@ -117,28 +117,23 @@ class Histories(eqx.Module):
         import xarray
 
         each = [history.to_xarray() for history in self]
-        first = each[0]
-        times = np.stack([one["time"].values for one in each])
-        alike = bool((times == times[0]).all())
-        if not alike:
+        if any((one["time"].values != each[0]["time"].values).any() for one in each):
             each = [one.drop_indexes("time").reset_coords("time") for one in each]
             each = [one.rename_dims(time="sample") for one in each]
-            first = each[0]
+        first, along = each[0], tuple(self.axes)
+
+        def stacked(values: list[Any]) -> np.ndarray:
+            return np.reshape(values, (*self.shape, *np.shape(values[0])))
+
         data: dict[Any, Any] = {
-            name: (
-                (*self.axes, *first[name].dims),
-                np.stack([one[name].values for one in each]).reshape(
-                    (*self.shape, *first[name].shape)
-                ),
-                first[name].attrs,
-            )
-            for name in first.data_vars
+            name: ((*along, *v.dims), stacked([one[name].values for one in each]), v.attrs)
+            for name, v in first.data_vars.items()
         }
-        status = [one.attrs["status"] for one in each]
-        data["status"] = (tuple(self.axes), np.reshape(status, self.shape), described_as("status"))
-        coordinates = coordinates_of(self.axes)
-        attributes = {k: v for k, v in first.attrs.items() if k != "status"}
-        return xarray.Dataset(data, {**first.coords, **coordinates}, attrs=attributes)
+        status = stacked([one.attrs["status"] for one in each])
+        data["status"] = along, status, described_as("status")
+        return xarray.Dataset(
+            data, {**first.coords, **coordinates_of(self.axes)}, {"rig": first.attrs["rig"]}
+        )
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{name}: {len(values)}" for name, values in self.axes.items())

@@ -17,9 +17,12 @@ from vibrojax.history.energy import EnergyFlow, energy_of
 from vibrojax.history.history_spectrum import spectrum_of_history
 from vibrojax.history.poincare import PoincareSection, section_of
 from vibrojax.history.quantities import (
+    MOVING,
     QUANTITIES,
     STRAIN_POWER,
+    dataset,
     displacement_of,
+    numbered,
     observables_of,
     quantity_of,
     unit_and_label,
@@ -29,7 +32,6 @@ from vibrojax.history.signals import chirp_signals, signals_of
 from vibrojax.history.spectrum import Spectrum
 from vibrojax.model.systems import AbstractSystem, Motion
 from vibrojax.results.status import Status
-from vibrojax.results.variables import described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -38,38 +40,6 @@ if TYPE_CHECKING:
 
 class History(SampledMotion):
     """Motion of one lane at equal intervals; displacements are relative to the base."""
-
-    @classmethod
-    def of(
-        cls,
-        system: AbstractSystem,
-        motion: Motion,
-        time: Float[Array, " samples"],
-        states: Float[Array, "samples states"],
-        result: diffrax.RESULTS,
-    ) -> "History":
-        """Read everything off the states of an integration.
-
-        Parameters:
-            system: what moves.
-            motion: its equations, drive and waveform.
-            time: when the states are known, s.
-            states: (q, q', memories) at these times.
-            result: how diffrax ended.
-        """
-        q, v, memory = (part.T for part in motion.equations.split(states.T))
-        equations = motion.sharp_equations()
-
-        def read(time, q, v, memory):
-            held = (memory,) if equations.memory_size else ()
-            drive_input = motion.drive.input(motion.waveform, time)
-            acceleration = equations.acceleration(q, v, drive_input, *held)
-            return acceleration, equations.contact_forces(q, v, *held)
-
-        accelerations, force = jax.vmap(read)(time, q, v, memory)
-        ended = (result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(states))
-        status = jnp.where(ended, Status.completed.value, Status.diverged.value)
-        return cls(system, motion, time, q, v, accelerations, force, memory, status)
 
     @validated(traceable=True)
     def displacement(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
@@ -83,22 +53,15 @@ class History(SampledMotion):
 
     @validated(traceable=True)
     def velocity(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
-        """Velocity relative to the base at s = x/L, m/s.
-
-        `position` is as for `displacement`. Raises `ValueError` where there is no such
-        place.
-        """
+        """Velocity relative to the base, m/s; `position` and errors are as for `displacement`."""
         return displacement_of(self, position)[1]
 
     @validated(traceable=True)
     def acceleration(self, position: ArrayLike | None = None) -> Float[Array, " samples"]:
-        """Acceleration relative to the base at s = x/L, m/s2.
+        """Acceleration relative to the base, m/s2; `position` and errors as for `displacement`.
 
         With contact damping the force jumps at touch, and the peak of the acceleration does not
         converge with the number of modes.
-
-        `position` is as for `displacement`. Raises `ValueError` where there is no such
-        place.
         """
         return displacement_of(self, position)[2]
 
@@ -267,43 +230,28 @@ class History(SampledMotion):
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset over time, mode (or coordinate) and stop, with units and long names."""
-        import xarray
-
-        def named(values, units, long_name, *dims):
-            return (
-                (*("time", *dims),),
-                np.asarray(values),
-                {"units": units, "long_name": long_name},
-            )
-
-        unit, modal, along = self.motion.equations.coordinate_units, "Generalised ", "coordinate"
-        if self.motion.equations.linear_between_contacts is not None:
-            modal, along = "Modal ", "mode"
-        parts = {
-            "coordinates": (unit, "coordinates"),
-            "rates": (f"{unit}/s", "velocities"),
-            "accelerations": (f"{unit}/s2", "accelerations"),
-        }
+        equations, unit = self.motion.equations, self.motion.equations.coordinate_units
+        modal = equations.linear_between_contacts is not None
+        kind, along = ("Modal", "mode") if modal else ("Generalised", "coordinate")
+        over = ("time", along)
         data = {
-            name: named(getattr(self, name), units, modal + label, along)
-            for name, (units, label) in parts.items()
+            "time": ("time", self.time, "s", "Time"),
+            "coordinates": (over, self.coordinates, unit, f"{kind} coordinates"),
+            "rates": (over, self.rates, f"{unit}/s", f"{kind} velocities"),
+            "accelerations": (over, self.accelerations, f"{unit}/s2", f"{kind} accelerations"),
+            "contact_force": (("time", "stop"), self.contact_force, "N", "Contact force"),
         }
-        data["contact_force"] = named(self.contact_force, "N", "Contact force", "stop")
         at_tip = self.system.reported_place == 1.0
         prefix, place = ("tip_", " of the tip") if at_tip else ("", "")
-        moved = displacement_of(self)
-        for name, values in zip(("displacement", "velocity", "acceleration"), moved, strict=True):
+        for name, values in zip(MOVING, displacement_of(self), strict=True):
             units, label = QUANTITIES[name]
-            data[prefix + name] = named(values, units, label + place)
-        for name in (*observables_of(self.motion.equations), STRAIN_POWER):
-            data[name] = named(self.quantity(name), *unit_and_label(name))
-        coordinates = {
-            "time": ("time", np.asarray(self.time), {"units": "s", "long_name": "Time"}),
-            along: (along, np.arange(1, self.coordinates.shape[1] + 1), described_as(along)),
-            "stop": ("stop", np.arange(1, self.contact_force.shape[1] + 1), described_as("stop")),
-        }
+            data[prefix + name] = ("time", values, units, label + place)
+        for name in (*observables_of(equations), STRAIN_POWER):
+            data[name] = ("time", self.quantity(name), *unit_and_label(name))
+        counted = numbered(along, self.coordinates.shape[1])
+        counted |= numbered("stop", self.contact_force.shape[1])
         attributes = {"status": Status(int(self.status)).name, "rig": recipe(self.system)}
-        return xarray.Dataset(data, coordinates, attrs=attributes)
+        return dataset(data, counted, attributes)
 
     @validated
     def plot(self, quantity: str = "displacement", position: ArrayLike | None = None) -> "Figure":
@@ -312,7 +260,7 @@ class History(SampledMotion):
         `quantity` and `position` are those of `History.quantity`. Raises `ValueError` for
         an unknown quantity, or a position where there is none.
         """
-        from vibrojax.plot.histories import plot_signals
+        from vibrojax.plot.history import plot_signals
 
         return plot_signals(np.asarray(self.time), signals_of(self, quantity, position))
 
@@ -324,7 +272,7 @@ class History(SampledMotion):
         reduction, else the strain energy. Source: Litak et al., fig. 4. Raises `ValueError` for an
         unknown quantity, a system that nothing drives, or a history that holds lanes.
         """
-        from vibrojax.plot.histories import plot_signals
+        from vibrojax.plot.history import plot_signals
 
         return plot_signals(np.asarray(self.time), chirp_signals(self, quantities))
 
@@ -334,3 +282,22 @@ class History(SampledMotion):
         if is_traced(self.time) or lanes:
             return head + ")"
         return f"{head}, 0 to {float(self.time[-1]):.6g} s, {Status(int(self.status)).name})"
+
+
+def history_of(
+    system: AbstractSystem, motion: Motion, time: Array, states: Array, result: diffrax.RESULTS
+) -> History:
+    """Read everything off the states, shape (samples, states), and how diffrax ended."""
+    q, v, memory = (part.T for part in motion.equations.split(states.T))
+    equations = motion.sharp_equations()
+
+    def read(time, q, v, memory):
+        held = (memory,) if equations.memory_size else ()
+        drive_input = motion.drive.input(motion.waveform, time)
+        acceleration = equations.acceleration(q, v, drive_input, *held)
+        return acceleration, equations.contact_forces(q, v, *held)
+
+    accelerations, force = jax.vmap(read)(time, q, v, memory)
+    ended = (result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(states))
+    status = jnp.where(ended, Status.completed.value, Status.diverged.value)
+    return History(system, motion, time, q, v, accelerations, force, memory, status)

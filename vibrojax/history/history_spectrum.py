@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from vibrojax._tools.checks import is_traced
 from vibrojax.history.quantities import (
     QUANTITIES,
     STRAIN_POWER,
@@ -14,10 +13,9 @@ from vibrojax.history.quantities import (
     observable_motion,
     quantity_of,
 )
-from vibrojax.history.samples import SampledMotion
+from vibrojax.history.samples import SampledMotion, times_of
 from vibrojax.history.spectrum import Spectrum, spectrum_of
 from vibrojax.model.drives import Harmonic
-from vibrojax.results.status import Status
 
 FOLDED = 0.01
 """Share of the rms that may lie above half the sampling rate: 40 dB down."""
@@ -33,14 +31,7 @@ def spectrum_of_history(
     **settings: Any,
 ) -> Spectrum:
     """Return the spectrum of a quantity; see `History.spectrum`."""
-    if np.ndim(history.time) != 1 or is_traced(history.time):
-        raise ValueError(
-            "A spectrum is of one history outside jit and vmap, got lanes of shape "
-            f"{np.shape(history.time)[:-1]}. Take one: jax.tree.map(lambda a: a[0], history)."
-        )
-    if int(history.status) != Status.completed.value:
-        raise ValueError(f"This history has no spectrum: it {Status(int(history.status)).name}.")
-    time = np.asarray(history.time)
+    time = times_of(history, "spectrum")
     inside = time >= start
     if np.sum(inside) < 9:
         raise ValueError(
@@ -62,8 +53,8 @@ def spectrum_of_history(
         if quantity in QUANTITIES:
             moved, _, pushed = displacement_of(history, position)
         else:
-            watched = "strain_energy" if quantity == STRAIN_POWER else quantity
-            moved, _, pushed = observable_motion(history, watched)
+            quantity_moved = "strain_energy" if quantity == STRAIN_POWER else quantity
+            moved, _, pushed = observable_motion(history, quantity_moved)
         moved, pushed = np.asarray(moved)[inside], np.asarray(pushed)[inside]
         # A force has no derivative that shows folded lines: the motion it causes has.
         share = folded_share(pushed if is_force else values, moved, pushed, rate)

@@ -1,7 +1,7 @@
 """Poincaré sections of a history: by the phase of the drive, or by crossings of a level."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,10 +9,15 @@ from jaxtyping import Float
 
 from vibrojax._tools.checks import check_choice, check_range, nearest
 from vibrojax._tools.signatures import validated
-from vibrojax.history.crossings import check_whole, crossings, curve_of, curve_through
-from vibrojax.history.quantities import observable_motion, observables_of, unit_and_label
-from vibrojax.history.samples import SampledMotion
-from vibrojax.results.variables import described_as, with_unit
+from vibrojax.history.crossings import crossings, curve_through
+from vibrojax.history.quantities import (
+    observable_motion,
+    observables_of,
+    quantity_of,
+    table,
+    unit_and_label,
+)
+from vibrojax.history.samples import SampledMotion, times_of
 
 if TYPE_CHECKING:
     import xarray
@@ -56,16 +61,12 @@ class PoincareSection:
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset over point, with units and long names."""
-        import xarray
+        columns = {n: (v, *_unit_and_label(n)) for n, v in self._columns.items()}
+        return table("point", columns, {"section": self.title, "quantity": self.quantity})
 
-        columns = {"time": self.time, "drive_phase": self.drive_phase} | self.values
-        data = {}
-        for name, values in columns.items():
-            units, label = _unit_and_label(name)
-            data[name] = ("point", values, {"units": units, "long_name": label})
-        attributes: dict[str, Any] = {"section": self.title, "quantity": self.quantity}
-        number = ("point", np.arange(1, len(self) + 1), described_as("point"))
-        return xarray.Dataset(data, {"point": number}, attrs=attributes)
+    @property
+    def _columns(self) -> dict[str, Float[np.ndarray, " points"]]:
+        return {"time": self.time, "drive_phase": self.drive_phase} | self.values
 
     @validated
     def plot(self, x: str | None = None, y: str | None = None) -> "Figure":
@@ -79,22 +80,11 @@ class PoincareSection:
         x = (self.quantity if self.level is None else "drive_phase") if x is None else x
         y = rate_name(self.quantity) if y is None else y
         for name in (x, y):
-            self.column(name)
-        from vibrojax.plot.cycles import plot_section
+            if name not in self._columns:
+                raise ValueError(f"Unknown variable {name!r}. {nearest(name, self._columns)}")
+        from vibrojax.plot.history import plot_section
 
         return plot_section(self.to_xarray(), x, y)
-
-    @validated
-    def column(self, name: str) -> tuple[Float[np.ndarray, " points"], str]:
-        """Return a variable by name, and its label with its unit.
-
-        Raises `ValueError` for one that is not there.
-        """
-        columns = {"time": self.time, "drive_phase": self.drive_phase} | self.values
-        if name not in columns:
-            raise ValueError(f"Unknown variable {name!r}. {nearest(name, columns)}")
-        units, label = _unit_and_label(name)
-        return columns[name], with_unit(label, units)
 
     def __repr__(self) -> str:
         return f"PoincareSection({self.title}, {', '.join(self.values)})"
@@ -127,25 +117,24 @@ def section_of(
     check_choice("direction", direction, DIRECTIONS)
     equations = history.motion.equations
     check_choice("quantity", quantity, ("displacement", *observables_of(equations)))
-    check_whole(history, "Poincaré sections")
-    time = np.asarray(history.time)
+    time = times_of(history, "Poincaré sections")
     allowed = f"at most {time[-1]:.6g} s, the end of the history"
     check_range("start", start, -np.inf, float(time[-1]), allowed=allowed)
     if level is None:
         check_range("phase", phase, allowed="a finite number of rad")
-        _, unit = history.system.drive.reference
-        if unit == "m":
+        if history.system.drive.reference[1] == "m":
             raise ValueError(
                 "Nothing drives this system, so it has no phase: give a level to cut the motion by."
             )
         times = strobe_times(history, float(phase))
     else:
         check_range("level", level, allowed="a finite number")
-        times = crossings(curve_of(history, quantity), float(level), direction)
+        curve = curve_through(time, *quantity_of(history, quantity))
+        times = crossings(curve, float(level), direction)
     times = times[times >= start]
     values: dict[str, Float[np.ndarray, " points"]] = {}
     for name in ("displacement", *observables_of(equations)):
-        value, rate, second = (np.asarray(part) for part in observable_motion(history, name))
+        value, rate, second = observable_motion(history, name)
         values[name] = curve_through(time, value, rate)(times)
         values[rate_name(name)] = curve_through(time, rate, second)(times)
     if level is None:

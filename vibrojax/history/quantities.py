@@ -1,17 +1,22 @@
 """What can be read from a history by name: values, their rates, units and long names."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import nearest
+from vibrojax._tools.compiled import compiled
 from vibrojax.history.samples import SampledMotion
 from vibrojax.measured.units import UNITS, unit_named
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.results.variables import VARIABLES
+
+if TYPE_CHECKING:
+    import xarray
 
 QUANTITIES = {
     "displacement": ("m", "Displacement"),
@@ -21,6 +26,7 @@ QUANTITIES = {
 }
 """Units and long names of what every system has and a place along it may be given for."""
 
+MOVING = ("displacement", "velocity", "acceleration")
 STRAIN_POWER = "strain_power"
 """Rate of the observable `strain_energy`."""
 
@@ -29,10 +35,7 @@ def unit_and_label(quantity: str) -> tuple[str, str]:
     """Return the unit and the long name of a quantity."""
     if quantity in QUANTITIES:
         return QUANTITIES[quantity]
-    known = VARIABLES.get(quantity)
-    if known is None:
-        return "1", quantity.replace("_", " ").capitalize()
-    return known.units, known.long_name
+    return VARIABLES.get(quantity, ("1", quantity.replace("_", " ").capitalize()))
 
 
 def unit_for(quantity: str, asked: str | None) -> tuple[str, float]:
@@ -72,18 +75,47 @@ def check_quantity(equations: AbstractEquations, quantity: Any) -> None:
         )
 
 
-Motions = tuple[Float[Array, " samples"], Float[Array, " samples"], Float[Array, " samples"]]
+def numbered(name: str, count: int) -> dict[str, Any]:
+    """Return the coordinate of a dataset that counts from 1."""
+    label = {"units": "1", "long_name": f"{name.capitalize()}, from 1"}
+    return {name: (name, np.arange(1, count + 1), label)}
+
+
+def dataset(
+    variables: Mapping[str, tuple[Any, Any, str, str]],
+    coordinates: Mapping[str, Any],
+    attributes: Mapping[str, Any] | None = None,
+) -> "xarray.Dataset":
+    """Return a dataset of variables given as (dimensions, values, units, long name) by name."""
+    import xarray
+
+    data = {
+        name: (dims, np.asarray(values), {"units": units, "long_name": label})
+        for name, (dims, values, units, label) in variables.items()
+    }
+    return xarray.Dataset(data, coordinates, attributes)
+
+
+def table(
+    name: str,
+    columns: Mapping[str, tuple[Any, str, str]],
+    attributes: Mapping[str, Any] | None = None,
+) -> "xarray.Dataset":
+    """Return a dataset of columns (values, units, long name), with the number of the row."""
+    count = len(next(iter(columns.values()))[0])
+    rows = {n: (name, *column) for n, column in columns.items()}
+    return dataset(rows, numbered(name, count), attributes)
+
+
+Motions = tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]
 """A quantity along a motion, its rate and the rate of that."""
 
 
-@eqx.filter_jit
-def _observed(
-    equations: AbstractEquations,
-    name: str,
-    q: Float[Array, "samples coordinates"],
-    rate: Float[Array, "samples coordinates"],
-    acceleration: Float[Array, "samples coordinates"],
-) -> Motions:
+@compiled
+def observable_motion(history: SampledMotion, name: str) -> Motions:
+    """Return an observable of the equations, its rate and the rate of that."""
+    equations = history.motion.equations
+
     def read(q):
         return equations.response(q) if name == "displacement" else equations.observables(q)[name]
 
@@ -94,23 +126,10 @@ def _observed(
         (value, first), (_, second) = jax.jvp(value_and_rate, (q, rate), (rate, acceleration))
         return value, first, second
 
-    return jax.vmap(one)(q, rate, acceleration)
+    return jax.vmap(one)(history.coordinates, history.rates, history.accelerations)
 
 
-def observable_motion(history: SampledMotion, name: str) -> Motions:
-    """Return an observable of the equations, its rate and the rate of that."""
-    return _observed(
-        history.motion.equations,
-        name,
-        history.coordinates,
-        history.rates,
-        history.accelerations,
-    )
-
-
-def displacement_of(
-    history: SampledMotion, position: ArrayLike | None = None
-) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
+def displacement_of(history: SampledMotion, position: ArrayLike | None = None) -> Motions:
     """Return the displacement, velocity and acceleration of a history."""
     equations = history.motion.equations
     if position is None and equations.linear_between_contacts is None:
@@ -121,7 +140,7 @@ def displacement_of(
 
 def quantity_of(
     history: SampledMotion, name: str, position: ArrayLike | None = None
-) -> tuple[Float[Array, "..."], Float[Array, "..."] | None]:
+) -> tuple[Any, Any]:
     """Return a quantity and its rate; None for the rate of what may jump.
 
     Raises `ValueError` for an unknown name or for a position where there is none.
@@ -130,13 +149,12 @@ def quantity_of(
     check_quantity(equations, name)
     if name == "contact_force":
         return jnp.sum(history.contact_force, axis=1), None
-    if name in QUANTITIES:
-        motion = displacement_of(history, position)
-        order = ("displacement", "velocity", "acceleration").index(name)
-        return motion[order], motion[order + 1] if order < 2 else None
-    if position is not None:
+    if name in MOVING:
+        parts = (*displacement_of(history, position), None)
+        order = MOVING.index(name)
+    elif position is not None:
         raise ValueError(f"The {name} is that of the whole system: give no position.")
-    value, rate, second = observable_motion(
-        history, "strain_energy" if name == STRAIN_POWER else name
-    )
-    return (rate, second) if name == STRAIN_POWER else (value, rate)
+    else:
+        order = int(name == STRAIN_POWER)
+        parts = observable_motion(history, "strain_energy" if order else name)
+    return parts[order], parts[order + 1]

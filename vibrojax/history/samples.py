@@ -2,10 +2,12 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from vibrojax._tools.checks import check_one, check_range
+from vibrojax._tools.checks import check_one, check_range, is_traced
 from vibrojax.model.systems import AbstractSystem, Motion
+from vibrojax.results.status import Status
 
 
 class SampledMotion(eqx.Module):
@@ -14,7 +16,7 @@ class SampledMotion(eqx.Module):
     system: AbstractSystem
     """What moves."""
     motion: Motion
-    """Its equations with drive and waveform: the `args` of a solver."""
+    """Its equations with drive and waveform: the `args` of a stepper."""
     time: Float[Array, " samples"]
     """s."""
     coordinates: Float[Array, "samples coordinates"]
@@ -53,3 +55,21 @@ class SampledMotion(eqx.Module):
         allowed = "from 0 (root) to 1 (tip)"
         check_range("position", position, 0.0, 1.0, allowed=allowed, advice="It is x/length.")
         return self.system.shape_at(position)
+
+
+def times_of(history: SampledMotion, what: str) -> Float[np.ndarray, " samples"]:
+    """Return the times (s) of one finished history.
+
+    Raises `ValueError` for a traced one, lanes, one that diverged and one of a single sample.
+    """
+    if is_traced(history.time) or np.ndim(history.time) != 1:
+        raise ValueError(
+            f"The {what} are those of one history outside jit and vmap, got lanes of shape "
+            f"{np.shape(history.time)[:-1]}. Take one: jax.tree.map(lambda a: a[0], history)."
+        )
+    if int(history.status) != Status.completed.value:
+        status = Status(int(history.status)).name
+        raise ValueError(f"This history has no {what}: its status is {status}.")
+    if history.time.size < 2:
+        raise ValueError(f"A history of one sample has no {what}.")
+    return np.asarray(history.time)

@@ -1,13 +1,10 @@
 """What the pictures of one history show over time."""
 
-from typing import TYPE_CHECKING
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
 from vibrojax._tools.checks import check_one
-from vibrojax.history.crossings import check_whole
 from vibrojax.history.quantities import (
     QUANTITIES,
     check_quantity,
@@ -15,19 +12,15 @@ from vibrojax.history.quantities import (
     quantity_of,
     unit_and_label,
 )
+from vibrojax.history.samples import SampledMotion, times_of
 from vibrojax.model.drives import BaseMotion
 
-if TYPE_CHECKING:
-    from vibrojax.history.samples import SampledMotion
-    from vibrojax.plot.histories import Signal
+Signal = tuple[np.ndarray, str, str]
+"""Values over time, unit and long name."""
 
 
-def signals_of(
-    history: "SampledMotion", quantity: str, position: ArrayLike | None
-) -> "list[Signal]":
+def signals_of(history: SampledMotion, quantity: str, position: ArrayLike | None) -> list[Signal]:
     """Return a quantity and the forces of the stops; see `History.plot`."""
-    from vibrojax.plot.histories import Signal
-
     check_quantity(history.motion.equations, quantity)
     position = history.system.reported_place if position is None else position
     check_one("position", position, "place x/L")
@@ -36,16 +29,13 @@ def signals_of(
     values, _ = quantity_of(history, quantity, None if nowhere else position)
     units, label = unit_and_label(quantity)
     forces = np.asarray(history.contact_force)
-    stops = tuple(f"stop {s + 1}" for s in range(forces.shape[1]))
-    below = [Signal(forces, *QUANTITIES["contact_force"], stops)] if stops else []
-    return [Signal(np.asarray(values), units, label + place), *below]
+    below = [(forces, *QUANTITIES["contact_force"])] if forces.shape[1] else []
+    return [(np.asarray(values), units, label + place), *below]
 
 
-def chirp_signals(history: "SampledMotion", quantities: tuple[str, ...]) -> "list[Signal]":
+def chirp_signals(history: SampledMotion, quantities: tuple[str, ...]) -> list[Signal]:
     """Return drive, quantities and drive frequency; see `History.plot_chirp`."""
-    from vibrojax.plot.histories import Signal
-
-    check_whole(history, "Pictures of a chirp")
+    time = jnp.asarray(times_of(history, "pictures of a chirp"))
     motion = history.motion
     for name in quantities:
         check_quantity(motion.equations, name)
@@ -57,12 +47,11 @@ def chirp_signals(history: "SampledMotion", quantities: tuple[str, ...]) -> "lis
         angle = "bearing_angle" if "bearing_angle" in seen else "displacement"
         bent = "chord_reduction" if "chord_reduction" in seen else "strain_energy"
         quantities = (angle, bent)
-    time = jnp.asarray(history.time)
     phase, rate, _ = motion.waveform.phase(time)
     if isinstance(drive, BaseMotion):
         base = np.asarray(drive.amplitude * jnp.sin(phase))
-        driven = Signal(base, "m", "Base displacement")
+        driven = (base, "m", "Base displacement")
     else:
-        driven = Signal(np.asarray(drive.input(motion.waveform, time)), "N", "Drive force")
-    shown = [Signal(np.asarray(quantity_of(history, n)[0]), *unit_and_label(n)) for n in quantities]
-    return [driven, *shown, Signal(np.asarray(rate) / (2 * np.pi), "Hz", "Drive frequency")]
+        driven = (np.asarray(drive.input(motion.waveform, time)), "N", "Drive force")
+    shown = [(np.asarray(quantity_of(history, n)[0]), *unit_and_label(n)) for n in quantities]
+    return [driven, *shown, (np.asarray(rate) / (2 * np.pi), "Hz", "Drive frequency")]

@@ -1,14 +1,19 @@
-"""Time histories of one lane."""
+"""Time histories of one motion, or of several in one loop."""
 
+import itertools
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, overload
 
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import (
+    axis_of,
     check_choice,
     check_count,
     check_one,
@@ -16,17 +21,30 @@ from vibrojax._tools.checks import (
     check_positive,
     concrete,
 )
-from vibrojax._tools.signatures import validated
-from vibrojax.history.history import History
+from vibrojax._tools.compiled import compiled
+from vibrojax._tools.kinds import is_list
+from vibrojax._tools.signatures import check_not_traced, check_one_lane, validated
+from vibrojax.ensemble.arguments import Zipped, arguments_of
+from vibrojax.ensemble.lanes import check_no_numbers, lanes_of
+from vibrojax.history.histories import Histories
+from vibrojax.history.history import History, history_of
 from vibrojax.model.drives import AbstractWaveform, Harmonic
 from vibrojax.model.states import as_state
-from vibrojax.model.systems import AbstractSystem, Motion, as_arrays, check_is_system, equations_of
-from vibrojax.stepping.choice import choose_method, prepare_motion
-from vibrojax.stepping.method import AbstractMethod, ExactContact
+from vibrojax.model.systems import (
+    AbstractSystem,
+    Motion,
+    as_arrays,
+    check_made,
+    equations_of,
+)
+from vibrojax.stepping.choice import choose_stepper, prepare_motion
+from vibrojax.stepping.stepper import AbstractStepper, ExactContact
 
 MOST_SAMPLES = 100_000_000
 ATTEMPTS = 256
 """Most attempts per step that reverse mode keeps; those not made cost nothing."""
+One = float | int | Array | np.number[Any] | None
+"""One number, or none: what is no list."""
 
 
 @validated(traceable=True)
@@ -63,44 +81,76 @@ def motion(
     return Motion(equations, drive, waveform, prepare_motion(system, equations))
 
 
-@validated(traceable=True)
+@overload
 def simulate(
     system: AbstractSystem,
     *,
-    frequency: ArrayLike | None = None,
-    frequency_ratio: ArrayLike | None = None,
+    frequency: One = None,
+    frequency_ratio: One = None,
+    release: One = None,
+    initial_states: None = None,
+    **settings: Any,
+) -> History: ...
+
+
+@overload
+def simulate(
+    system: AbstractSystem | Callable[..., AbstractSystem], *zipped: Zipped, **arguments: Any
+) -> Histories | Any: ...
+
+
+@validated(traceable=True)
+def simulate(
+    system: AbstractSystem | Callable[..., AbstractSystem],
+    *zipped: Zipped,
+    frequency: ArrayLike | Sequence[float] | None = None,
+    frequency_ratio: ArrayLike | Sequence[float] | None = None,
     waveform: AbstractWaveform | None = None,
+    release: ArrayLike | Sequence[float] | None = None,
+    initial_state: Any = None,
+    initial_states: ArrayLike | Sequence[Any] | None = None,
     periods: float | int | None = None,
     duration: ArrayLike | None = None,
     samples_per_period: int = 128,
     samples: int | None = None,
     sampling_rate: float | int | None = None,
-    initial_state: Any = None,
-    release: ArrayLike | None = None,
-    solver: diffrax.AbstractSolver[Any] | None = None,
+    stepper: diffrax.AbstractSolver[Any] | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController[Any, Any] | None = None,
     tolerance: float = 1e-6,
     gradient: str = "reverse",
     max_steps: int | None = None,
-) -> History:
-    """Integrate the motion and return its time history at equal intervals.
+    **numbers: Any,
+) -> Any:
+    """Integrate the motion and return its history at equal intervals; of a list, all histories.
+
+        history = vj.simulate(vj.default_rig(), frequency_ratio=1.1, periods=40)
+        histories = vj.simulate(rig, force=[2.0, 6.0, 12.0], frequency=16.0, duration=10.0)
+        histories.at(force=6.0).contacts()
+
+    Without a list the result is a `History`, which JAX can trace and differentiate. Any list makes
+    it `Histories`, one for every combination, integrated in one loop that is compiled once.
 
     Parameters:
-        system: what moves.
+        system: what moves, or a function that makes it from named numbers.
+        zipped: groups of arguments that go along one axis, `vj.zipped(taper=..., gap=...)`.
         frequency, frequency_ratio, waveform: the drive in time, one of them (Hz; ratio to the
-            first natural frequency; `Harmonic` or `Chirp`). None for a system without a drive.
+            first natural frequency; `Harmonic` or `Chirp`), the first two one number, or a list as
+            an axis. None for a system without a drive.
+        release: let the beam go from the static deflection with this tip displacement, m; or a
+            list as an axis.
+        initial_state: instead, at drive phase 0: what `system.state(displacement=...,
+            velocity=...)` makes of displacements, one of `history.states`, or a state itself, as
+            one array (states,) or as (q, q') and the memories of stops that are not at rest. Of a
+            beam and of matrices q (m) and q' (m/s) are coordinates of their modes. At rest by
+            default.
+        initial_states: a list of such states: the axis `start`, counted from 1.
         periods: how long, in drive periods (of the first mode where nothing drives).
         duration: how long, s, instead of periods.
         samples_per_period: samples per such period.
         samples: number of intervals over the whole time, instead.
         sampling_rate: samples per second (Hz), instead: at least twice the highest natural
             frequency of the model, as an analyser would have to sample it.
-        initial_state: at drive phase 0: what `system.state(displacement=..., velocity=...)` makes
-            of displacements, one of `history.states`, or a state itself, as one array (states,) or
-            as (q, q') and the memories of stops that are not at rest. Of a beam and of matrices q
-            (m) and q' (m/s) are coordinates of their modes. At rest by default.
-        release: instead, let the beam go from the static deflection with this tip displacement, m.
-        solver: any diffrax solver. By default `ExactContact` where the stops are linear in
+        stepper: any diffrax solver. By default `ExactContact` where the stops are linear in
             contact, else `ExponentialSplitting`, or `LinearlyImplicit` for a system that is not
             linear; these take equal steps, others a PID controller.
         stepsize_controller: for other solvers; by default `PIDController(tolerance, tolerance)`
@@ -109,29 +159,76 @@ def simulate(
         gradient: `reverse` (`jax.grad`, `jax.vjp`) or `forward` (`jax.jvp`, `jax.jacfwd`): which
             derivative will be taken through the history. Values are the same.
         max_steps: limit of diffrax on the number of steps.
+        numbers: arguments of the function; a list is an axis, axes are crossed.
 
-    Raises `ValueError` for settings that contradict each other or cannot work, or a release that
-    starts inside a stop. The history has a `status`; a solver that fails is flagged there.
+    Raises `ValueError` for settings that contradict each other or cannot work, a release that
+    starts inside a stop, or histories of different lengths, before anything is integrated. A
+    history has a `status`; a stepper that fails is flagged there.
     """
-    task = task_of(
-        system,
-        frequency=frequency,
-        frequency_ratio=frequency_ratio,
-        waveform=waveform,
-        periods=periods,
-        duration=duration,
-        samples_per_period=samples_per_period,
-        samples=samples,
-        sampling_rate=sampling_rate,
-        initial_state=initial_state,
-        release=release,
-        solver=solver,
-        stepsize_controller=stepsize_controller,
-        tolerance=tolerance,
-        gradient=gradient,
-        max_steps=max_steps,
-    )
-    return solve(task)
+    check_choice("gradient", gradient, ("reverse", "forward"))
+    if max_steps is not None:
+        check_count("max_steps", max_steps)
+    numbered: dict[str, Any] = {
+        "frequency": frequency,
+        "frequency_ratio": frequency_ratio,
+        "release": release,
+    }
+    axes = {name: axis_of(name, value) for name, value in numbered.items() if is_list(value)}
+    starts = _starts(initial_state, initial_states, release, numbers)
+    if initial_states is not None:
+        axes["start"] = np.arange(1, len(starts) + 1)
+    numbered["start"] = 1
+    grid = periods, duration, samples_per_period, samples, sampling_rate
+
+    def task(one: AbstractSystem, values: dict[str, Any], gradient: str) -> Task:
+        start, release = starts[values.pop("start") - 1], values.pop("release")
+        drive = values | {"waveform": waveform}
+        stepping = stepper, stepsize_controller, tolerance, gradient, max_steps
+        return _task(one, drive, release, start, grid, stepping)
+
+    if not (axes or zipped or any(isinstance(n, Zipped) or is_list(n) for n in numbers.values())):
+        return solve(task(_made(system, numbers), numbered, gradient))
+    check_not_traced("simulate over lists", "system", system)
+    lanes = lanes_of(system, numbers, zipped)
+    tasks = [
+        task(
+            jax.tree.map(lambda a, k=k: a[k], lanes.systems),
+            numbered | dict(zip(axes, row, strict=True)),
+            "forward",
+        )
+        for k in range(math.prod(lanes.shape))
+        for row in itertools.product(*axes.values())
+    ]
+    return Histories(lanes.axes | axes, _solve_all(_stacked(tasks)))
+
+
+def _starts(one: Any, several: Any, release: Any, numbers: dict[str, Any]) -> list[Any]:
+    """Return the states to start from, a single None for rest."""
+    given = {"initial_state": one, "initial_states": several, "release": release}
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise ValueError(f"Give {' or '.join(names)}, not both.")
+    if several is None:
+        return [one]
+    if "start" in numbers:
+        raise ValueError("initial_states are the axis `start`: rename that of the function.")
+    if not is_list(several) or not len(several):
+        raise ValueError(f"initial_states must be a list of (q, q'), got {several!r}.")
+    return list(several)
+
+
+def _made(
+    system: AbstractSystem | Callable[..., AbstractSystem], numbers: dict[str, Any]
+) -> AbstractSystem:
+    """Return the system of numbers that JAX may be tracing."""
+    if isinstance(system, AbstractSystem):
+        check_no_numbers(numbers, ())
+        return system
+    made = system(**arguments_of(system, (), numbers).fixed)
+    if not isinstance(made, AbstractSystem):
+        check_made(system, made)
+    check_one_lane("system", made)
+    return made
 
 
 class Task(NamedTuple):
@@ -139,7 +236,7 @@ class Task(NamedTuple):
 
     system: AbstractSystem
     run: Motion
-    solver: diffrax.AbstractSolver[Any]
+    stepper: diffrax.AbstractSolver[Any]
     controller: diffrax.AbstractStepSizeController[Any, Any]
     adjoint: diffrax.AbstractAdjoint
     times: Float[Array, " samples"]
@@ -149,67 +246,47 @@ class Task(NamedTuple):
     max_steps: int | None
 
 
-def task_of(
-    system: AbstractSystem,
-    *,
-    frequency: ArrayLike | None,
-    frequency_ratio: ArrayLike | None,
-    waveform: AbstractWaveform | None,
-    periods: float | int | None,
-    duration: ArrayLike | None,
-    samples_per_period: int,
-    samples: int | None,
-    sampling_rate: float | int | None,
-    initial_state: Any,
-    release: ArrayLike | None,
-    solver: diffrax.AbstractSolver[Any] | None,
-    stepsize_controller: diffrax.AbstractStepSizeController[Any, Any] | None,
-    tolerance: float,
-    gradient: str,
-    max_steps: int | None,
-) -> Task:
-    """Check what `simulate` was asked and get it ready. Raises `ValueError` as it says."""
-    check_is_system(system)
-    check_choice("gradient", gradient, ("reverse", "forward"))
-    if max_steps is not None:
-        check_count("max_steps", max_steps)
-    _check_waveform(system, frequency, frequency_ratio, waveform)
+def _task(system, drive, release, start, grid, stepping) -> Task:
+    """Check what `simulate` was asked of one motion and get it ready."""
+    for name, unit in (("frequency", "Hz"), ("frequency_ratio", "ratio")):
+        check_positive(name, drive[name], unit)
+    if system.drive.reference[1] != "m" and all(value is None for value in drive.values()):
+        raise ValueError(
+            "The system has a drive: give frequency (Hz), frequency_ratio or waveform."
+        )
+    run = motion(system, **drive)
+    _, rate, second = run.waveform.phase(jnp.zeros(()))
+    period = 2 * jnp.pi / rate
+    length, per_period, intervals = _grid(run, period, *grid)
+    times = length * jnp.linspace(0.0, 1.0, intervals + 1)
+    state = _initial_state(system, run, start, release)
+    stepper, controller, tolerance, gradient, max_steps = stepping
+    if stepper is None or isinstance(stepper, AbstractStepper):
+        stepper = choose_stepper(system, stepper, tolerance, None)
+    parts = None
+    if isinstance(stepper, AbstractStepper):
+        if isinstance(stepper, ExactContact):
+            most = (stepper.max_attempts or ATTEMPTS) if gradient == "reverse" else None
+            stepper = ExactContact(stepper.tolerance, stepper.steps_per_period, most)
+        parts, controller = math.ceil(stepper.steps(run) / per_period), diffrax.ConstantStepSize()
+    elif controller is None:
+        drive = jnp.abs(system.drive.complex_amplitude(rate, second)) / rate**2  # quasi-static
+        unit = jnp.max(jnp.abs(run.equations.input(jnp.zeros(run.equations.size))))
+        atol = 1e-3 * tolerance * (jnp.max(jnp.abs(state)) + drive * unit)
+        controller = diffrax.PIDController(rtol=tolerance, atol=atol, dtmax=period / 40)
+    reverse = gradient == "reverse"
+    adjoint = diffrax.RecursiveCheckpointAdjoint() if reverse else diffrax.ForwardMode()
+    return Task(
+        as_arrays(system), run, stepper, controller, adjoint, times, state, parts, max_steps
+    )
+
+
+def _grid(run, period, periods, duration, samples_per_period, samples, sampling_rate):
+    """Return the length of the run (s), samples per period and the number of intervals."""
     if sampling_rate is not None:
-        check_positive("sampling_rate", sampling_rate, "Hz")
         if samples is not None:
             raise ValueError("Give samples or sampling_rate (Hz), not both.")
-    run = motion(system, frequency=frequency, frequency_ratio=frequency_ratio, waveform=waveform)
-    _, rate, _ = run.waveform.phase(jnp.zeros(()))
-    period = 2 * jnp.pi / rate
-    if sampling_rate is not None:
         _check_sampling(sampling_rate, run)
-    length, per_period, intervals = _grid(
-        period, periods, duration, samples_per_period, samples, sampling_rate
-    )
-    times = length * jnp.linspace(0.0, 1.0, intervals + 1)
-    state = _initial_state(system, run, initial_state, release)
-    method = solver if isinstance(solver, AbstractMethod) else None
-    if solver is None or method is not None:
-        solver = choose_method(system, method, tolerance, None)
-    if isinstance(solver, AbstractMethod):
-        if isinstance(solver, ExactContact):
-            most = (solver.max_attempts or ATTEMPTS) if gradient == "reverse" else None
-            solver = ExactContact(solver.tolerance, solver.steps_per_period, most)
-        parts = math.ceil(solver.steps(run) / per_period)
-        controller: diffrax.AbstractStepSizeController[Any, Any] = diffrax.ConstantStepSize()
-    else:
-        parts, size = None, jnp.max(jnp.abs(state)) + _static_size(system, run)
-        controller = stepsize_controller or diffrax.PIDController(
-            rtol=tolerance, atol=1e-3 * tolerance * size, dtmax=period / 40
-        )
-    adjoint = (
-        diffrax.RecursiveCheckpointAdjoint() if gradient == "reverse" else diffrax.ForwardMode()
-    )
-    return Task(as_arrays(system), run, solver, controller, adjoint, times, state, parts, max_steps)
-
-
-def _grid(period, periods, duration, samples_per_period, samples, sampling_rate):
-    """Return the length of the run (s), samples per period and the number of intervals."""
     if (periods is None) == (duration is None):
         raise ValueError("Give periods or duration (s), one of the two.")
     check_count("samples_per_period", samples_per_period, least=2)
@@ -219,7 +296,7 @@ def _grid(period, periods, duration, samples_per_period, samples, sampling_rate)
         check_positive("periods", periods, "(drive periods)")
         length, count = periods * period, periods
     else:
-        check_one_number("duration", duration, "s", "Use simulate_each for several motions.")
+        check_one_number("duration", duration, "s", "The motions of one call are equally long.")
         length, count = jnp.asarray(duration, float), concrete(duration / period)
     if sampling_rate is not None:
         seconds = concrete(length)
@@ -244,6 +321,7 @@ def _grid(period, periods, duration, samples_per_period, samples, sampling_rate)
 
 def _check_sampling(sampling_rate, run):
     """Refuse a sampling rate (Hz) that cannot show the highest mode."""
+    check_positive("sampling_rate", sampling_rate, "Hz")
     linear = run.equations.linear_between_contacts
     if linear is None:
         return
@@ -257,10 +335,7 @@ def _check_sampling(sampling_rate, run):
 
 
 def _initial_state(system, run, initial_state, release):
-    if initial_state is not None and release is not None:
-        raise ValueError("Give initial_state or release, not both.")
     if release is not None:
-        check_one("release", release, "m", "Use simulate_each for several.")
         q = system.static_shape(release)
         depth = concrete(run.equations.penetration(q))
         if depth is not None and (depth > 0).any():
@@ -274,14 +349,7 @@ def _initial_state(system, run, initial_state, release):
     return as_state("initial_state", initial_state, run.equations)
 
 
-def _static_size(system, run):
-    """A size of the state for absolute tolerances: the drive's quasi-static response."""
-    _, rate, second = run.waveform.phase(jnp.zeros(()))
-    drive = jnp.abs(system.drive.complex_amplitude(rate, second))
-    return drive * jnp.max(jnp.abs(run.equations.input(jnp.zeros(run.equations.size)))) / rate**2
-
-
-@eqx.filter_jit
+@compiled
 def solve(task: Task) -> History:
     """Integrate one lane."""
     step, limit = None, 1_000_000
@@ -290,7 +358,7 @@ def solve(task: Task) -> History:
         step, limit = (task.times[-1] - task.times[0]) / steps, steps + 16
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(task.run.vector_field),
-        task.solver,
+        task.stepper,
         t0=task.times[0],
         t1=task.times[-1],
         dt0=step,
@@ -303,16 +371,25 @@ def solve(task: Task) -> History:
         throw=False,
     )
     states = jnp.asarray(solution.ys)
-    return History.of(task.system, task.run, task.times, states, solution.result)
+    return history_of(task.system, task.run, task.times, states, solution.result)
 
 
-def _check_waveform(system, frequency, frequency_ratio, waveform) -> None:
-    for name, value in (("frequency", frequency), ("frequency_ratio", frequency_ratio)):
-        if value is not None:
-            advice = "Use simulate_each for several."
-            check_one_number(name, value, "Hz" if name == "frequency" else "ratio", advice)
-    _, unit = system.drive.reference
-    if unit != "m" and frequency is None and frequency_ratio is None and waveform is None:
+@compiled
+def _solve_all(tasks: Task) -> History:
+    return eqx.filter_vmap(solve)(tasks)
+
+
+def _stacked(tasks: list[Task]) -> Task:
+    """Stack what the lanes have of their own; all take the steps of the one that needs most."""
+    lengths = sorted({len(task.times) for task in tasks})
+    if len(lengths) > 1:
         raise ValueError(
-            "The system has a drive: give frequency (Hz), frequency_ratio or waveform."
+            f"The histories would have {lengths[0]} to {lengths[-1]} samples. Give samples, or "
+            "periods with samples_per_period, so that all have as many."
         )
+    parts = [task.parts for task in tasks]
+    most = None if parts[0] is None else max(part or 1 for part in parts)
+    tasks = [task._replace(parts=most) for task in tasks]
+    return jax.tree.map(
+        lambda *leaves: jnp.stack(leaves) if eqx.is_array(leaves[0]) else leaves[0], *tasks
+    )

@@ -21,8 +21,14 @@ from vibrojax._tools.checks import (
     nearest,
 )
 from vibrojax._tools.signatures import validated
-from vibrojax.history.quantities import QUANTITIES, unit_and_label, unit_for
-from vibrojax.results.variables import VARIABLES, described_as
+from vibrojax.history.quantities import (
+    QUANTITIES,
+    dataset,
+    numbered,
+    unit_and_label,
+    unit_for,
+)
+from vibrojax.results.variables import VARIABLES
 
 if TYPE_CHECKING:
     import xarray
@@ -60,6 +66,8 @@ class SpectralPeak(NamedTuple):
 
 Name = tuple[str, float | None, int | None, int | None]
 """The last four of a `SpectralPeak`."""
+Candidate = tuple[float, float, int, Name]
+"""Where a line so named would be, within how much (Hz), a rank (lowest first), the name."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -164,28 +172,17 @@ class Spectrum:
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset over frequency, with units, long names and settings as attributes."""
-        import xarray
-
         label = f"{unit_and_label(self.quantity)[1]}, {SCALINGS[self.scaling]}"
-        named = {"units": self.units, "long_name": label}
-        natural = {"units": "Hz", "long_name": "Natural frequencies out of contact"}
-        hertz = {"units": "Hz", "long_name": "Frequency"}
+        natural = "Natural frequencies out of contact"
         arrays = ("frequency", "amplitude", "natural_frequencies")
-        settings = {k: v for k, v in vars(self).items() if k not in arrays and v is not None}
-        return xarray.Dataset(
+        return dataset(
             {
-                "amplitude": ("frequency", self.amplitude, named),
-                "natural_frequency": ("mode", self.natural_frequencies, natural),
+                "amplitude": ("frequency", self.amplitude, self.units, label),
+                "natural_frequency": ("mode", self.natural_frequencies, "Hz", natural),
+                "frequency": ("frequency", self.frequency, "Hz", "Frequency"),
             },
-            {
-                "frequency": ("frequency", self.frequency, hertz),
-                "mode": (
-                    "mode",
-                    np.arange(1, len(self.natural_frequencies) + 1),
-                    described_as("mode"),
-                ),
-            },
-            attrs=settings,
+            numbered("mode", len(self.natural_frequencies)),
+            {k: v for k, v in vars(self).items() if k not in arrays and v is not None},
         )
 
     @validated
@@ -196,7 +193,7 @@ class Spectrum:
         """
         check_count("count", count)
         shown = self if span is None else self.up_to(span)
-        from vibrojax.plot.spectrum import plot_spectrum
+        from vibrojax.plot.history import plot_spectrum
 
         return plot_spectrum(shown.to_xarray(), shown.peaks(len(shown.frequency)), count)
 
@@ -242,15 +239,14 @@ def _name_driven(frequency: float, resolution: float, drive: float, modes: np.nd
         off = abs(frequency - order * drive / denominator)
         if order >= 1 and off <= near / denominator:
             return _name_multiple(order, denominator, drive, resolution, modes)
-    fits: list[tuple[int, float, Name]] = []
+    candidates: list[Candidate] = []
     for i, natural in enumerate(modes):
         within = min(resolution + 0.005 * natural, drive / 10)
         for k in range(-LARGEST_SIDEBAND, LARGEST_SIDEBAND + 1):
-            off = abs(frequency - natural - k * drive)
-            if off <= within:
-                part = f" {'+' if k > 0 else '-'} {abs(k)} x drive" if k else ""
-                fits.append((abs(k), off, (f"mode {i + 1}{part}", None, i + 1, k)))
-    return _best(fits)
+            part = f" {'+' if k > 0 else '-'} {abs(k)} x drive" if k else ""
+            name = (f"mode {i + 1}{part}", None, i + 1, k)
+            candidates.append((natural + k * drive, within, abs(k), name))
+    return _best(frequency, candidates)
 
 
 def _name_multiple(
@@ -260,13 +256,12 @@ def _name_multiple(
     ratio = order / denominator
     times = f"{order}" if denominator == 1 else f"{order}/{denominator}"
     name = "drive" if ratio == 1 else f"{times} x drive"
-    offsets = ratio * drive - modes
-    closest = int(np.argmin(np.abs(offsets))) if len(modes) else 0
-    if len(modes) and abs(offsets[closest]) <= drive / 2:
-        size = f"{abs(offsets[closest]):.{max(0, math.ceil(-math.log10(resolution)))}f}"
-        away = f" {'+' if offsets[closest] > 0 else '-'} {size} Hz" if float(size) else ""
-        beside = "" if ratio == 1 else f" (mode {closest + 1}{away})"
-        return name + beside, ratio, closest + 1, 0
+    off, i = min(((abs(ratio * drive - f), i) for i, f in enumerate(modes)), default=(np.inf, 0))
+    if off <= drive / 2:
+        size = f"{off:.{max(0, math.ceil(-math.log10(resolution)))}f}"
+        away = f" {'+' if ratio * drive > modes[i] else '-'} {size} Hz" if float(size) else ""
+        beside = "" if ratio == 1 else f" (mode {i + 1}{away})"
+        return name + beside, ratio, i + 1, 0
     # A mode at the drive itself has no sidebands but the harmonics.
     central = [(i, round(natural / drive)) for i, natural in enumerate(modes)]
     sidebands = [(abs(order - at), i, order - at) for i, at in central if at >= 2]
@@ -277,23 +272,23 @@ def _name_multiple(
 
 
 def _name_free(frequency: float, resolution: float, modes: np.ndarray) -> Name:
-    fits: list[tuple[int, float, Name]] = []
+    candidates: list[Candidate] = []
     for i, natural in enumerate(modes):
-        others = np.abs(np.delete(modes, i) - natural)
-        off = abs(frequency - natural)
-        if off <= min(resolution + 0.02 * natural, 0.5 * np.min(others, initial=np.inf)):
-            fits.append((0, off, (f"mode {i + 1}", None, i + 1, 0)))
+        apart = np.min(np.abs(np.delete(modes, i) - natural), initial=np.inf)
+        within = min(resolution + 0.02 * natural, apart / 2)
+        candidates.append((natural, within, 0, (f"mode {i + 1}", None, i + 1, 0)))
     for n in range(2, LARGEST_MULTIPLE + 1) if len(modes) else ():
-        off = abs(frequency - n * modes[0])
-        if off <= min(resolution + 0.01 * n * modes[0], modes[0] / 8):
-            fits.append((0, off, (f"{n} x mode 1", None, 1, None)))
-    return _best(fits)
+        within = min(resolution + 0.01 * n * modes[0], modes[0] / 8)
+        candidates.append((n * modes[0], within, 0, (f"{n} x mode 1", None, 1, None)))
+    return _best(frequency, candidates)
 
 
-def _best(fits: list[tuple[int, float, Name]]) -> Name:
+def _best(frequency: float, candidates: list[Candidate]) -> Name:
     """Return the name of lowest rank; several of that rank together, the closest first."""
-    rank = min((fit[0] for fit in fits), default=0)
-    names = [fit[2] for fit in sorted(fits, key=lambda fit: fit[:2]) if fit[0] == rank]
+    off = [(rank, abs(frequency - at), name) for at, _, rank, name in candidates]
+    near = [fit for fit, (_, within, *_) in zip(off, candidates, strict=True) if fit[1] <= within]
+    near = sorted(near, key=lambda fit: fit[:2])
+    names = [name for rank, _, name in near if rank == near[0][0]]
     if not names:
         return "-", None, None, None
     return " or ".join(name[0] for name in names), *names[0][1:]
@@ -331,9 +326,8 @@ def spectrum_of(
     if segment is not None:
         allowed = f"above 0 and at most {record}, the length of the record"
         advice = "Simulate longer, or give a shorter segment."
-        check_positive("segment", segment, "s", advice)
-        most = (length + 0.5) / rate
-        check_range("segment", segment, high=most, allowed=allowed, advice=advice)
+        limits = {"low": 0.0, "high": (length + 0.5) / rate, "include_low": False}
+        check_range("segment", segment, **limits, allowed=allowed, advice=advice)
         length = round(segment * rate)
     if length < FEWEST:
         raise ValueError(

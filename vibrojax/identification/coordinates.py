@@ -1,50 +1,57 @@
 """Coordinates in which the numbers sought move: of a size with each other, within their bounds."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vibrojax._tools.checks import check_choice
+from vibrojax._tools.kinds import LARGEST
+from vibrojax.ensemble.ranges import check_range_of
 
 KINDS = ("log", "asinh", "linear")
-TINY = 1e-12
+Numbers = float | np.ndarray
 
 
 class Coordinate(NamedTuple):
     """How one number moves."""
 
-    name: str
+    argument: str
+    """Of the function of the rig."""
     kind: str
     """`log`, `asinh` (linear below its scale, logarithmic above, so that 0 is reached) or
     `linear`."""
     scale: float
     low: float
     high: float
+    guess: float
+    label: str = ""
+    """Of the measurement whose own number it is; empty where all share it."""
 
-    def inside(self, number: float | np.ndarray) -> np.ndarray:
+    @property
+    def name(self) -> str:
+        """Name of the number, `gap`, or `gap[label]` of one measurement."""
+        return f"{self.argument}[{self.label}]" if self.label else self.argument
+
+    def inside(self, number: Numbers) -> Numbers:
         """Coordinate of a number."""
-        number = np.asarray(number, float)
         if self.kind == "log":
-            return np.asarray(np.log(np.maximum(number, np.finfo(float).tiny)))
-        near = number / self.scale
-        return np.asarray(np.arcsinh(near) if self.kind == "asinh" else near)
+            return np.log(np.maximum(number, np.finfo(float).tiny))
+        near = np.asarray(number, float) / self.scale
+        return np.arcsinh(near) if self.kind == "asinh" else near
 
-    def number(self, inside: float | np.ndarray) -> np.ndarray:
+    def number(self, inside: Numbers) -> Numbers:
         """Number at a coordinate."""
-        inside = np.asarray(inside, float)
-        if self.kind == "log":
-            return np.asarray(np.exp(np.clip(inside, -700.0, 700.0)))
-        if self.kind == "asinh":
-            return np.asarray(self.scale * np.sinh(np.clip(inside, -700.0, 700.0)))
-        return np.asarray(self.scale * inside)
+        if self.kind == "linear":
+            return self.scale * np.asarray(inside, float)
+        inside = np.clip(inside, -700.0, 700.0)
+        return np.exp(inside) if self.kind == "log" else self.scale * np.sinh(inside)
 
-    def slope(self, inside: float | np.ndarray) -> np.ndarray:
+    def slope(self, inside: Numbers) -> Numbers:
         """Derivative of the number in its coordinate."""
         if self.kind == "log":
             return self.number(inside)
         inside = np.clip(inside, -700.0, 700.0)
-        shape = np.cosh(inside) if self.kind == "asinh" else np.ones_like(inside)
-        return np.asarray(self.scale * shape)
+        return self.scale * (np.cosh(inside) if self.kind == "asinh" else np.ones_like(inside))
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -54,9 +61,9 @@ class Coordinate(NamedTuple):
 
 
 def coordinate_of(
-    name: str, argument: str, guess: float, bounds: tuple[float, float] | None, kind: str | None
+    name: str, guess: float, bounds: Any = None, kind: str | None = None
 ) -> Coordinate:
-    """Choose the coordinate of a number.
+    """Choose the coordinate of a number within its bounds, a `Range` (or None).
 
     Contact damping can be nothing at all, so it moves in asinh and stops at 0; what is above 0
     moves in log; what may have either sign, linearly. Raises `ValueError` for bounds that are none,
@@ -64,12 +71,16 @@ def coordinate_of(
     """
     if not np.isfinite(guess):
         raise ValueError(f"guess of {name} must be a finite number, got {guess!r}.")
-    damping = "damping" in argument and "ratio" not in argument
+    low, high = -np.inf, np.inf
+    if bounds is not None:
+        # The largest number that a call takes stands for no end.
+        ends = check_range_of(f"bounds of {name}", bounds)
+        low, high = (e if abs(e) < LARGEST else np.sign(e) * np.inf for e in (ends.low, ends.high))
+    damping = "damping" in name and "ratio" not in name
     if kind is None:
-        above = guess > 0 and (bounds is None or bounds[0] >= 0)
+        above = guess > 0 and (bounds is None or low >= 0)
         kind = "asinh" if (damping and guess >= 0) else "log" if above else "linear"
     check_choice("transforms", kind, KINDS)
-    low, high = (-np.inf, np.inf) if bounds is None else _bounds(name, bounds)
     if kind == "log" or (kind == "asinh" and bounds is None):
         low = max(low, 0.0)
     if kind == "log" and guess <= 0:
@@ -79,15 +90,4 @@ def coordinate_of(
             f"guess of {name} = {guess:g} lies outside its bounds, {low:g} to {high:g}: give a "
             "guess inside, or wider bounds."
         )
-    scale = abs(guess) if guess else 1.0
-    return Coordinate(name, kind, scale, low, high)
-
-
-def _bounds(name: str, bounds: tuple[float, float]) -> tuple[float, float]:
-    try:
-        low, high = (float(b) for b in bounds)
-    except (TypeError, ValueError):
-        raise ValueError(f"bounds of {name} must be (low, high), got {bounds!r}.") from None
-    if not low < high:
-        raise ValueError(f"bounds of {name} must be (low, high) with low below high, got {bounds}.")
-    return low, high
+    return Coordinate(name, kind, abs(guess) or 1.0, low, high, guess)

@@ -1,32 +1,29 @@
 """Distance of measured points from the response curves of many trial rigs at once."""
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.branches.continuation import Ending, Settings, begin
-from vibrojax.branches.tracing import Traced, trace_branches
-from vibrojax.identification.nearest_point import Nearest, Target
+from vibrojax.branches.continuation import Ending
+from vibrojax.branches.over_range import scale_of, trace_over
+from vibrojax.branches.tracing import Traced
+from vibrojax.ensemble.slopes import WithSlopes
+from vibrojax.identification.nearest_point import Nearest, Target, nearest_points, settled
 from vibrojax.identification.sensor import Sensor
 from vibrojax.identification.trial_rigs import (
     SAMPLES,
     WIDTHS,
     Curve,
-    Lanes,
-    filled_up,
-    find_nearest,
+    Maker,
     free_and_touching,
-    gaps_of,
-    make_lanes,
+    frequency_path,
     observe_points,
 )
-from vibrojax.measured.curve import MeasuredCurve
-from vibrojax.model.systems import AbstractSystem
-from vibrojax.steady.batches import in_batches, take
+from vibrojax.measured.curve import Jump, MeasuredCurve
+from vibrojax.steady.batches import BATCH, filled_up, in_batches, take
 from vibrojax.steady.paths import FrequencyPath
 
 MOST_POINTS = 300
@@ -43,18 +40,14 @@ HELD = 1e-7
 """Frequency scale that keeps a point at its frequency."""
 FAR_AWAY = 1e6
 """A gap that is never closed, m."""
+MASKED = 2
+"""Points left out on each side of a jump, where jumps are put on the folds."""
 LOST = 1e3
 """Residual of every point of a rig without a curve, in standard deviations."""
 
 
 def _both(amplitude: np.ndarray | None, force: np.ndarray | None) -> np.ndarray:
     return np.stack([c for c in (amplitude, force) if c is not None], axis=1)
-
-
-def _put(whole, at, part):
-    whole = np.array(whole)
-    whole[at] = part
-    return whole
 
 
 def sensor_of(measured: MeasuredCurve) -> Sensor:
@@ -75,18 +68,9 @@ class CurveMisfit:
     side: every lane says which one it is compared with.
     """
 
-    def __init__(
-        self,
-        make: Callable[..., AbstractSystem],
-        names: tuple[str, ...],
-        fixed: dict[str, float],
-        static: dict[str, Any],
-        repetitions: Sequence[MeasuredCurve],
-        objective: str = "distance",
-    ):
+    def __init__(self, maker: Maker, repetitions: Sequence[MeasuredCurve], pointwise: bool = False):
         first = repetitions[0]
-        self.make, self.names, self.fixed, self.static = make, names, fixed, static
-        self.objective = objective
+        self.maker, self.pointwise = maker, pointwise
         self.unit = 1.0
         """Frequency that a frequency scale refers to: the first natural one, or 1 for ratios."""
         self.sensor = sensor_of(first)
@@ -112,155 +96,155 @@ class CurveMisfit:
     @property
     def scale(self) -> float:
         """Change of frequency that counts as much as a motion changing by its size."""
-        return min(self.unit, (self.high - self.low) / 0.5)
+        return scale_of(self.low, self.high, self.unit)
 
-    def lanes(self, values: np.ndarray) -> Lanes:
-        """Make the trial rigs with these numbers (lanes by names)."""
-        index = filled_up(len(values))
-        fixed = {n: jnp.full(len(index), v) for n, v in self.fixed.items()}
-        numbers = jnp.asarray(values[index])
-        made = make_lanes(self.make, self.names, self.static, self.is_ratio, numbers, fixed)
-        return take(Lanes(*jax.device_get(made)), slice(len(values)))
+    def lanes(self, values: np.ndarray) -> WithSlopes:
+        """Paths of the trial rigs with these numbers (lanes by names)."""
+        index = filled_up(len(values), WIDTHS[-1])
+        made = self.maker.trials(frequency_path, self.is_ratio, values[index])
+        return take(WithSlopes(*jax.device_get(made)), slice(len(values)))
 
     def curves(self, paths: FrequencyPath) -> list[Curve]:
-        """Follow the response curves of all rigs over the measured range."""
+        """Follow the response curves of all rigs over the measured range.
+
+        From the end where there is no contact yet; where that does not get through, from the other
+        one too.
+        """
         lanes = paths.unit.shape[0]
-        padded = take(paths, filled_up(lanes))
+        padded = take(paths, filled_up(lanes, WIDTHS[-1]))
         ends = [np.full(padded.unit.shape[0], end) for end in (self.low, self.high)]
         free = [jax.device_get(free_and_touching(padded, end)) for end in ends]
-        # A curve is begun where there is no contact yet.
-        from_high = free[0][1] & ~free[1][1]
-        found = self._trace(paths, free, from_high[:lanes])
-        short = np.array([t.ending is not Ending.completed for t in found])
-        again = np.flatnonzero(short)
-        others: list[Traced | None] = [None] * lanes
-        if len(again):
-            other = [(depth[again], touch[again]) for depth, touch in free]
-            for k, t in zip(
-                again, self._trace(take(paths, again), other, ~from_high[again]), strict=True
-            ):
-                others[k] = t
-        return self._seen(paths, found, others)
+        from_high = (free[0][1] & ~free[1][1])[:lanes]
 
-    def _trace(self, paths, free, from_high: np.ndarray) -> list[Traced]:
-        lanes = len(from_high)
-        ones = np.ones(lanes)
-        start = np.where(from_high, self.high, self.low)
-        choose = from_high[:, None, None]
-        guess = np.where(choose, free[1][0][:lanes], free[0][0][:lanes])
-        settings = Settings(
-            start=start,
-            low=self.low * ones,
-            high=self.high * ones,
-            direction=np.where(from_high, -1.0, 1.0),
-            scale=self.scale * ones,
-            tolerance=np.asarray(1e-4),
-            longest=np.asarray(LONGEST_STEP),
-        )
-        return trace_branches(
-            paths,
-            settings,
-            begin(guess, start),
-            samples=SAMPLES,
-            max_points=MOST_POINTS,
-            widths=WIDTHS,
-        )
+        def trace(index: np.ndarray, down: np.ndarray) -> list[Traced]:
+            low, high = (depth[index] for depth, _ in free)
+            return trace_over(
+                take(paths, index),
+                np.where(down, self.high, self.low),
+                self.low,
+                self.high,
+                scale=self.scale,
+                way=np.where(down, -1.0, 1.0),
+                guess=np.where(down[:, None, None], high, low),
+                longest=LONGEST_STEP,
+                samples=SAMPLES,
+                max_points=MOST_POINTS,
+                widths=WIDTHS,
+            )
 
-    def _seen(
-        self, paths: FrequencyPath, found: list[Traced], others: list[Traced | None]
-    ) -> list[Curve]:
-        parts = [[t for t in pair if t is not None] for pair in zip(found, others, strict=True)]
-        counts = [sum(len(t.parameter) for t in part) for part in parts]
-        lane = np.repeat(np.arange(len(parts)), counts)
-        if not len(lane):
-            nothing = np.zeros(0, bool)
-            empty = np.zeros((0, self.sensor.channels))
-            return [Curve(nothing, empty, nothing, nothing, False) for _ in parts]
-        frequency = np.concatenate([t.parameter for part in parts for t in part])
-        depth = np.concatenate([t.depth for part in parts for t in part if len(t.parameter)])
-        channels = in_batches(
+        pieces = [[piece] for piece in trace(np.arange(lanes), from_high)]
+        short = [k for k, (piece,) in enumerate(pieces) if piece.ending is not Ending.completed]
+        if short:
+            again = np.array(short)
+            for k, piece in zip(short, trace(again, ~from_high[again]), strict=True):
+                pieces[k].append(piece)
+        return self._seen(paths, pieces)
+
+    def _seen(self, paths: FrequencyPath, pieces: list[list[Traced]]) -> list[Curve]:
+        """Read the channels of all points of the pieces of all lanes."""
+        numbered = [(k, piece) for k, own in enumerate(pieces) for piece in own]
+        counts = [len(piece.parameter) for _, piece in numbered]
+        lane = np.repeat([k for k, _ in numbered], counts)
+        frequency = np.concatenate([piece.parameter for _, piece in numbered])
+        depth = np.concatenate([piece.depth for _, piece in numbered])
+        continues = np.concatenate([np.arange(count) < count - 1 for count in counts])
+        channels = np.zeros((0, self.sensor.channels))
+        if len(lane):
+            channels = self._observed(paths, lane, depth, frequency)
+        columns = frequency, channels, depth, continues
+        return [Curve(*(c[lane == k] for c in columns)) for k in range(len(pieces))]
+
+    def _observed(self, paths: FrequencyPath, lane, depth, frequency) -> np.ndarray:
+        """Channels of some motions, each of its own lane."""
+        return in_batches(
             lambda i: observe_points(take(paths, lane[i]), self.sensor, depth[i], frequency[i]),
             len(lane),
         )
-        last = np.cumsum([len(t.parameter) for part in parts for t in part]) - 1
-        continues = np.ones(len(lane), bool)
-        continues[last[last >= 0]] = False
-        curves = []
-        for k, part in enumerate(parts):
-            at = np.flatnonzero(lane == k)
-            whole = bool(part) and part[0].ending is Ending.completed
-            curves.append(Curve(frequency[at], channels[at], depth[at], continues[at], whole))
-        return curves
 
     def nearest(
         self,
-        lanes: Lanes,
+        lanes: WithSlopes,
         curves: list[Curve],
         which: np.ndarray,
         frequency_scale: float,
         precisely: bool,
     ) -> tuple[np.ndarray, Nearest | None]:
         """Find the nearest points; which rigs have a curve, and the points of those, in a row."""
-        usable = np.array([c.continues.any() for c in curves])
-        have = np.flatnonzero(usable)
+        have = np.flatnonzero([c.continues.any() for c in curves])
         if not len(have):
-            return usable, None
-        which = np.asarray(which)
+            return have, None
         starts = [self._guesses(curves[k], int(which[k]), frequency_scale) for k in have]
-        lane = np.concatenate([np.full(len(s[0]), k) for k, s in zip(have, starts, strict=True)])
+        lane = np.repeat(have, [len(start[0]) for start in starts])
         point, depth, frequency = (np.concatenate(part) for part in zip(*starts, strict=True))
         # Like with like: a batch takes as long as its longest contact.
         order = np.argsort(np.sum(np.fft.irfft(depth, SAMPLES) > 0, axis=(1, 2)), kind="stable")
         lane, point, depth, frequency = lane[order], point[order], depth[order], frequency[order]
         row = which[lane], point
-        anywhere = self.objective == "distance"
         target = Target(
             self.frequency[row],
             self.channels[row],
-            np.full(len(lane), self.unit * (frequency_scale if anywhere else HELD)),
+            np.full(len(lane), self.unit * (HELD if self.pointwise else frequency_scale)),
             self.deviation[row],
         )
+        close = PRECISE if precisely else NEAR_ENOUGH
 
         def find(i, rounds=FEW_ROUNDS):
-            return find_nearest(
-                take(lanes.paths, lane[i]),
-                take(lanes.slopes, lane[i]),
-                take(target, i),
-                depth[i],
-                frequency[i],
-                self.sensor,
-                scale=self.scale,
-                rounds=jnp.asarray(rounds),
-                close=jnp.asarray(PRECISE if precisely else NEAR_ENOUGH),
-            )
+            return self.find(lanes, lane[i], take(target, i), depth[i], frequency[i], rounds, close)
 
         nearest = in_batches(find, len(lane))
-        slow = np.flatnonzero(~nearest.settled)
+        slow = np.flatnonzero(~settled(nearest, close))
         # The few that creep, next to folds; a search does without the last of their way.
         if precisely and len(slow):
             again = in_batches(lambda i: find(slow[i], MANY_ROUNDS), len(slow))
-            nearest = jax.tree.map(lambda a, b: _put(a, slow, b), nearest, again)
+            for whole, part in zip(nearest, again, strict=True):
+                whole[slow] = part
         # Of several guesses the one that came nearest.
         row = np.searchsorted(have, lane) * self.points + point
         order = np.lexsort((np.sum(nearest.residual**2, axis=1), row))
         _, first = np.unique(row[order], return_index=True)
-        return usable, take(nearest, order[first])
+        return have, take(nearest, order[first])
+
+    def find(
+        self, lanes: WithSlopes, lane, target: Target, depth, frequency, rounds, close
+    ) -> Nearest:
+        """Find the nearest points from guesses of their motions and frequencies."""
+        return nearest_points(
+            take(lanes.made, lane),
+            take(lanes.slopes, lane),
+            target,
+            depth,
+            frequency,
+            self.sensor,
+            scale=self.scale,
+            rounds=jnp.asarray(rounds),
+            close=jnp.asarray(close),
+        )
 
     def _guesses(
         self, curve: Curve, which: int, frequency_scale: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Nearest places of the traced polygon: index of the measured point, motion, frequency.
+        """First guesses on the traced polygon: index of the measured point, motion, frequency."""
+        start = np.flatnonzero(curve.continues)
+        if self.pointwise:
+            point, place, share = self._branch_ends(curve, start, which)
+        else:
+            point, place, share = self._nearest_places(curve, start, which, frequency_scale)
+        first, way = start[place], share[:, None, None]
+        depth = (1 - way) * curve.depth[first] + way * curve.depth[first + 1]
+        frequency = (1 - share) * curve.frequency[first] + share * curve.frequency[first + 1]
+        return point, depth, self.frequency[which] if self.pointwise else frequency
+
+    def _nearest_places(
+        self, curve: Curve, start: np.ndarray, which: int, frequency_scale: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nearest places: measured point, segment and way along it.
 
         Where two places are about as near there are two guesses.
         """
-        size = frequency_scale * self.unit
-        start = np.flatnonzero(curve.continues)
+        size = np.full((self.points, 1), frequency_scale * self.unit)
+        scale = np.concatenate([size, self.deviation[which]], axis=1)
         whole = np.concatenate([curve.frequency[:, None], curve.channels], axis=1)
-        if self.objective != "distance":
-            return self._branch_ends(curve, which)
-        channels, deviation = self.channels[which], self.deviation[which]
-        scale = np.concatenate([np.full((self.points, 1), size), deviation], axis=1)
-        wanted = np.concatenate([self.frequency[which, :, None], channels], axis=1)
+        wanted = np.concatenate([self.frequency[which, :, None], self.channels[which]], axis=1)
         # points, segments, coordinates
         from_start = (wanted[:, None] - whole[None, start]) / scale[:, None]
         along = (whole[start + 1] - whole[start])[None] / scale[:, None]
@@ -270,32 +254,24 @@ class CurveMisfit:
         distance = np.sum((from_start - share[..., None] * along) ** 2, axis=2)
         rows = np.arange(len(wanted))
         best = np.argmin(distance, axis=1)
-        least = distance[rows, best]
         aside = np.pad(distance, ((0, 0), (1, 1)), constant_values=np.inf)
         lowest = (distance <= aside[:, :-2]) & (distance <= aside[:, 2:])
         elsewhere = lowest & (np.abs(np.arange(len(start)) - best[:, None]) > 1)
         others = np.where(elsewhere, distance, np.inf)
         second = np.argmin(others, axis=1)
-        close = np.sqrt(others[rows, second]) < 1.2 * np.sqrt(least) + CLOSE
+        close = np.sqrt(others[rows, second]) < 1.2 * np.sqrt(distance[rows, best]) + CLOSE
         point = np.concatenate([rows, rows[close]])
         place = np.concatenate([best, second[close]])
-        share = share[point, place]
-        first = start[place]
-        way = share[:, None, None]
-        depth = (1 - way) * curve.depth[first] + way * curve.depth[first + 1]
-        return (
-            point,
-            depth,
-            (1 - share) * curve.frequency[first] + share * curve.frequency[first + 1],
-        )
+        return point, place, share[point, place]
 
-    def _branch_ends(self, curve: Curve, which: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _branch_ends(
+        self, curve: Curve, start: np.ndarray, which: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where the curve crosses the measured frequencies: as a sweep passes it.
 
         Upwards the first crossing along the curve, downwards the last one, which is what a settled
         sweep follows where the curve is an S; without a direction the one nearest in amplitude.
         """
-        start = np.flatnonzero(curve.continues)
         at, ahead = curve.frequency[start], curve.frequency[start + 1]
         wanted = self.frequency[which, :, None]
         crosses = (wanted - at) * (wanted - ahead) <= 0
@@ -306,30 +282,24 @@ class CurveMisfit:
         off = np.where(crosses, np.abs(seen - self.channels[which, :, :1]), np.inf)
         if at[0] > ahead[-1]:  # followed from its high end
             first, last = last, first
-        direction = self.direction[which]
+        direction, points = self.direction[which], np.arange(self.points)
         place = np.select([direction > 0, direction < 0], [first, last], np.argmin(off, axis=1))
-        share = share[np.arange(self.points), place]
-        first = start[place]
-        way = share[:, None, None]
-        depth = (1 - way) * curve.depth[first] + way * curve.depth[first + 1]
-        return np.arange(self.points), depth, self.frequency[which]
+        return points, place, share[points, place]
 
     def without_contact(self, values: np.ndarray, which: int) -> np.ndarray:
         """Residuals (rigs by measured numbers), point by point, of rigs without their stops."""
-        paths = self.lanes(values).paths
-        away = eqx.tree_at(gaps_of, paths, replace_fn=lambda gap: 0 * gap + FAR_AWAY)
-        index = filled_up(len(values))
+        away = eqx.tree_at(
+            lambda path: [stop.gap for stop in path.equations.stops],
+            self.lanes(values).made,
+            replace_fn=lambda gap: 0 * gap + FAR_AWAY,
+        )
+        index = filled_up(len(values), WIDTHS[-1])
         low = np.full(len(index), self.low)
         depth = np.asarray(free_and_touching(take(away, index), low)[0])
         lane = np.repeat(np.arange(len(values)), self.points)
         frequency = np.tile(self.frequency[which], len(values))
-        channels = in_batches(
-            lambda i: observe_points(
-                take(away, lane[i]), self.sensor, depth[lane[i]], frequency[i]
-            ),
-            len(lane),
-        )
-        seen = channels.reshape(len(values), *self.channels[which].shape)
+        seen = self._observed(away, lane, depth[lane], frequency)
+        seen = seen.reshape(len(values), *self.channels[which].shape)
         return ((self.channels[which] - seen) / self.deviation[which]).reshape(len(values), -1)
 
     def residuals(
@@ -346,23 +316,72 @@ class CurveMisfit:
         `precisely` goes on with points that would move only a little more.
         """
         lanes = self.lanes(values)
-        curves = self.curves(lanes.paths)
-        return self._residuals(lanes, curves, which, frequency_scale, precisely)
-
-    def _residuals(
-        self,
-        lanes: Lanes,
-        curves: list[Curve],
-        which: np.ndarray,
-        frequency_scale: float,
-        precisely: bool,
-    ) -> tuple[np.ndarray, np.ndarray]:
+        curves = self.curves(lanes.made)
         usable, nearest = self.nearest(lanes, curves, which, frequency_scale, precisely)
-        rows = self.points * (1 + self.sensor.channels)
+        rows, names = self.points * (1 + self.sensor.channels), len(self.maker.names)
         residual = np.full((len(curves), rows), LOST)
-        derivative = np.zeros((len(curves), rows, len(self.names)))
+        derivative = np.zeros((len(curves), rows, names))
         if nearest is not None:
-            some = int(usable.sum())
-            residual[usable] = np.reshape(nearest.residual, (some, rows))
-            derivative[usable] = np.reshape(nearest.derivative, (some, rows, -1))
+            residual[usable] = np.reshape(nearest.residual, (-1, rows))
+            derivative[usable] = np.reshape(nearest.derivative, (-1, rows, names))
+        return self._with_jumps(lanes, curves, which, residual, derivative)
+
+    def _with_jumps(self, lanes: WithSlopes, curves: list[Curve], which, residual, derivative):
+        """Leave all as it is; see `FoldMisfit`."""
         return residual, derivative
+
+
+class FoldMisfit(CurveMisfit):
+    """Pointwise, without the points around the jumps, and with the jumps put on the folds.
+
+    For comparison, since a measured jump comes before its fold.
+    """
+
+    def __init__(self, maker: Maker, repetitions: Sequence[MeasuredCurve], pointwise: bool = True):
+        super().__init__(maker, repetitions, pointwise)
+        self.jumps = [m.jumps() for m in repetitions]
+        self.kept = np.ones((len(repetitions), self.points), bool)
+        for k, m in enumerate(repetitions):
+            for jump in self.jumps[k]:
+                same = np.flatnonzero(m.direction == jump.direction)
+                place = int(np.flatnonzero(same == jump.at)[0])
+                self.kept[k, same[max(place - MASKED, 0) : place + MASKED]] = False
+
+    @property
+    def size(self) -> int:
+        """How many residuals there are: two more, for the jumps."""
+        return super().size + 2
+
+    def _with_jumps(self, lanes: WithSlopes, curves: list[Curve], which, residual, derivative):
+        """Leave out the points around the jumps, and add the jumps."""
+        width = 1 + self.sensor.channels
+        kept = np.repeat(self.kept[which], width, axis=1)
+        residual = np.where(kept, residual, 0.0)
+        derivative = np.where(kept[..., None], derivative, 0.0)
+        more = np.zeros((len(curves), 2))
+        slopes = np.zeros((len(curves), 2, derivative.shape[2]))
+        for k, curve in enumerate(curves):
+            for j, way in enumerate((1, -1)):
+                jump = [m for m in self.jumps[which[k]] if m.direction == way]
+                if jump:
+                    more[k, j], slopes[k, j] = self._at_fold(lanes, k, curve, jump[0])
+        return np.concatenate([residual, more], 1), np.concatenate([derivative, slopes], 1)
+
+    def _at_fold(self, lanes: WithSlopes, lane: int, curve: Curve, jump: Jump):
+        """Distance of a jump from the fold where it should be, over the step of the sweep."""
+        turns = np.flatnonzero(curve.turning(jump.direction))
+        middle = (jump.before + jump.after) / 2
+        step = max(abs(jump.after - jump.before), 1e-4 * middle)
+        if not len(turns):
+            return LOST / 100, 0.0
+        at = np.full(BATCH, turns[np.argmin(np.abs(curve.frequency[turns] - middle))])
+        target = Target(
+            np.full(BATCH, middle),
+            curve.channels[at],
+            np.full(BATCH, step),
+            np.ones((BATCH, self.sensor.channels)),
+        )
+        # No rounds: the derivative at the fold itself, where the frequency is an extreme.
+        here = np.full(BATCH, lane)
+        nearest = self.find(lanes, here, target, curve.depth[at], curve.frequency[at], 0, 0.0)
+        return (middle - curve.frequency[at[0]]) / step, np.asarray(nearest.derivative)[0, 0]

@@ -1,7 +1,7 @@
 """What a person should know of a fit: misfit, jumps that came early, modes left out."""
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from vibrojax.identification.trial_rigs import Curve
 from vibrojax.measured.curve import MeasuredCurve
@@ -41,18 +41,21 @@ def early_jumps(measured: MeasuredCurve, curve: Curve, unit: float, tolerance: f
     return sentences
 
 
-def misfit(reduced: float, degrees_of_freedom: int, residual: np.ndarray) -> list[str]:
-    """Say so when the model does not explain the data, or the deviations are not what they were."""
+def misfit(square: float, degrees_of_freedom: int, residual: np.ndarray) -> list[str]:
+    """Say so when the model does not explain the data, or the deviations are not what they were.
+
+    `square` is the chi-square, `residual` in the order in which neighbours follow each other.
+    """
     sentences = []
-    square = reduced * degrees_of_freedom
-    if stats.chi2.sf(square, degrees_of_freedom) < UNLIKELY:
+    reduced = square / degrees_of_freedom
+    if scipy.stats.chi2.sf(square, degrees_of_freedom) < UNLIKELY:
         sentences.append(
             f"The model does not explain the data: the reduced chi-square is {reduced:.3g}. The "
             "formulation, the number of modes, a number held fixed or the deviations given are "
             "wrong, or this is not the best minimum; the intervals are widened accordingly, and "
             "still say nothing about a bias."
         )
-    elif stats.chi2.cdf(square, degrees_of_freedom) < 1e-6:
+    elif scipy.stats.chi2.cdf(square, degrees_of_freedom) < 1e-6:
         sentences.append(
             f"The fit is better than the deviations allow (reduced chi-square {reduced:.3g}): they "
             "are probably too large, and so are the intervals."

@@ -1,16 +1,17 @@
 """A fit: the numbers found, what was fitted, and the problem that was solved."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vibrojax._tools.checks import check_index
+from vibrojax._tools.checks import check_index, nearest
 from vibrojax._tools.signatures import validated
-from vibrojax.identification.fitted_data import Prediction
-from vibrojax.identification.setting_up import own_name
-from vibrojax.measured.curve import MeasuredCurve
-from vibrojax.measured.history import MeasuredHistory
+from vibrojax.identification.problem import Measurement
+from vibrojax.model.systems import AbstractSystem
+
+if TYPE_CHECKING:
+    import xarray
 
 
 @dataclass(frozen=True)
@@ -45,12 +46,10 @@ class Fit:
     """Values measured less numbers fitted."""
     confidence: float
     """Probability of the intervals, such as 0.95."""
-    measured: tuple[MeasuredCurve | MeasuredHistory, ...]
+    measured: tuple[Measurement, ...]
     """What was fitted, in the order given."""
-    predictions: tuple[Prediction, ...]
-    """One for every measurement."""
-    influence: tuple[np.ndarray, ...]
-    """By how many standard deviations each number would move without a point: points by numbers."""
+    predictions: "tuple[xarray.Dataset, ...]"
+    """One dataset for every measurement: points, residuals and the fitted curve."""
     alternatives: tuple[Alternative, ...]
     """Other minima that were found, the best first."""
     warnings: tuple[str, ...]
@@ -59,12 +58,10 @@ class Fit:
     """What was assumed or guessed."""
     evaluations: int
     """Response curves (of all measurements) that were followed."""
-    asked: Any
-    """What `identify` was asked for; with it the rig is made again."""
     problem: Any
     """The least squares that were solved, in the coordinates of the search."""
     repetition: int
-    """Number of this fit in `identify_each`, from 0."""
+    """Number of this fit where several were fitted one by one, from 0."""
     frequency_scale: float
     """Scale of frequency differences, as a share of the first natural frequency."""
     point: np.ndarray
@@ -85,6 +82,12 @@ class Fit:
         """Coordinate in which each number moved: `log`, `asinh` or `linear`."""
         return {c.name: c.kind for c in self.problem.coordinates}
 
+    def place_of(self, name: str) -> int:
+        """Place of a number among those fitted. Raises `ValueError` for an unknown `name`."""
+        if name not in self.names:
+            raise ValueError(f"name {name!r} was not fitted. {nearest(name, self.names)}")
+        return self.names.index(name)
+
     @validated
     def residuals(self, direction: str | None = None, measurement: int = 0) -> np.ndarray:
         """Residuals of one measurement; of a curve, of the `forward` or `backward` sweep only.
@@ -96,24 +99,22 @@ class Fit:
         Raises `ValueError` for another direction, or a measurement that is not there.
         """
         check_index("measurement", measurement, len(self.measured))
-        values = self.predictions[measurement].residual
+        data, ways = self.predictions[measurement], {"forward": 1, "backward": -1}
         if direction is None:
-            return values
-        ways = {"forward": 1, "backward": -1}
-        if direction not in ways:
-            raise ValueError(f"direction must be 'forward' or 'backward', got {direction!r}.")
-        measured: Any = self.measured[measurement]
-        return values[measured.direction == ways[direction]]
+            return data["residual"].values
+        if direction not in ways or "direction" not in data:
+            raise ValueError(
+                f"direction must be 'forward' or 'backward', of a curve, got {direction!r}."
+            )
+        return data["residual"].values[data["direction"].values == ways[direction]]
 
     @validated
-    def system(self, measurement: int = 0) -> Any:
+    def system(self, measurement: int = 0) -> AbstractSystem:
         """Return the fitted rig.
 
         With the arguments that hold for one `measurement` (from 0). Raises `ValueError` when there
         is none.
         """
         check_index("measurement", measurement, len(self.measured))
-        asked, measured = self.asked, self.measured[measurement]
-        arguments = dict.fromkeys(asked.arguments.values())
-        fitted = {n: self.estimate[own_name(asked, n, measured, measurement)] for n in arguments}
-        return asked.make(**asked.numbers, **measured.parameters, **fitted)
+        estimate = list(self.estimate.values())
+        return self.problem.system(estimate, measurement, self.measured[measurement])

@@ -5,26 +5,29 @@ because two motions may coexist; then Newton's method closes it, so that derivat
 the steady state and not of a transient.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from vibrojax.identification.history_motions import (
     Passed,
     Plan,
     Rig,
-    make_rigs,
     pass_through,
+    rig_of,
     sampled_signals,
     settle,
 )
+from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.history import MeasuredHistory
 from vibrojax.model.drives import NoDrive
-from vibrojax.model.systems import AbstractSystem
+from vibrojax.model.systems import AbstractSystem, equation_kinds
+from vibrojax.steady.batches import filled_up
 from vibrojax.stepping.choice import is_exact
 
 WIDTH = 4
@@ -44,12 +47,10 @@ MOST_ROUNDS = 12
 class Data(NamedTuple):
     """What each lane is compared with."""
 
-    time: np.ndarray
-    """Lanes by samples, s."""
-    values: np.ndarray
-    """Lanes by channels by samples."""
-    deviation: np.ndarray
-    """Lanes by channels."""
+    time: Float[np.ndarray, "lanes samples"]
+    """s."""
+    values: Float[np.ndarray, "lanes channels samples"]
+    deviation: Float[np.ndarray, "lanes channels"]
 
     def standardised(self, signals: np.ndarray) -> np.ndarray:
         """Divide signals, whose second axis is that of the residuals, by their deviations."""
@@ -147,15 +148,8 @@ class HistoryMisfit:
     Raises `ValueError` for a history the system cannot have.
     """
 
-    def __init__(
-        self,
-        make: Callable[..., AbstractSystem],
-        names: tuple[str, ...],
-        fixed: dict[str, float],
-        static: dict[str, Any],
-        repetitions: Sequence[MeasuredHistory],
-    ):
-        self.make, self.names, self.fixed, self.static = make, names, fixed, static
+    def __init__(self, maker: Maker, repetitions: Sequence[MeasuredHistory]):
+        self.maker = maker
         first = repetitions[0]
         parts = [history.windowed() for history in repetitions]
         if len({(tuple(part.channels), part.size) for part in parts}) > 1:
@@ -172,7 +166,10 @@ class HistoryMisfit:
             np.stack([np.stack([part.channels[c] for c in channels]) for part in parts]),
             np.array([[found[c] for c in channels] for found in noise]),
         )
-        self.plan = self._planned(first, channels)
+        # By the kind of system alone, which needs no numbers.
+        self.plan = eqx.filter_eval_shape(
+            lambda values: _plan(first, channels, maker.system(values)), jnp.ones(len(maker.names))
+        )
         given = [h.frequency_ratio if self.plan.is_ratio else h.frequency for h in repetitions]
         self.frequency = np.array([1.0 if f is None else f for f in given])
         self.release = np.array([h.release or 0.0 for h in repetitions])
@@ -183,15 +180,6 @@ class HistoryMisfit:
     def size(self) -> int:
         """How many residuals there are: channels times samples."""
         return self.data.values[0].size
-
-    def _planned(self, history: MeasuredHistory, channels: tuple[str, ...]) -> Plan:
-        """Decide what is computed, by the kind of system, which needs no numbers."""
-
-        def planned(values):
-            named = dict(zip(self.names, values, strict=True))
-            return _plan(history, channels, self.make(**self.static, **self.fixed, **named))
-
-        return eqx.filter_eval_shape(planned, jnp.ones(len(self.names)))
 
     def residuals(
         self,
@@ -209,12 +197,12 @@ class HistoryMisfit:
         """
         values, which = np.asarray(values, float), np.asarray(which, int)
         residual = np.full((len(values), self.size), LOST)
-        derivative = np.zeros((len(values), self.size, len(self.names)))
+        derivative = np.zeros((len(values), self.size, len(self.maker.names)))
         self.shifts = np.full(len(values), np.nan)
         sound = np.flatnonzero(np.isfinite(values).all(axis=1))
         for k in range(0, len(sound), WIDTH):
             own = sound[k : k + WIDTH]
-            index = np.resize(np.append(own, np.full(WIDTH, own[-1])), WIDTH)
+            index = own[filled_up(len(own), WIDTH)]
             with np.errstate(all="ignore"):
                 best, good = self._evaluate(values[index], which[index], precisely)
             good = good[: len(own)]
@@ -224,26 +212,18 @@ class HistoryMisfit:
         return residual, derivative
 
     def _evaluate(self, values, which, precisely) -> tuple[Trial, np.ndarray]:
-        fixed = {name: jnp.full(len(values), v) for name, v in self.fixed.items()}
-        made = make_rigs(
-            self.make,
-            self.names,
-            self.static,
-            self.plan,
-            jnp.asarray(values),
-            fixed,
-            jnp.asarray(self.frequency[which]),
-            jnp.asarray(self.release[which]),
+        trials = self.maker.trials(
+            rig_of, self.plan, values, self.frequency[which], self.release[which]
         )
-        rigs = jax.device_get(made.rigs)
+        rigs = jax.device_get(trials.made)
         data = Data(*(part[which] for part in self.data))
         if self.plan.begins == "settled":
-            state, period, shift, cell = self._steady(made.rigs, rigs, data)
+            state, period, shift, cell = self._steady(trials.made, rigs, data)
         else:
             state, period = rigs.start, np.ones(len(values), np.int32)
-            shift, cell = self._begun(made.rigs, rigs, data)
+            shift, cell = self._begun(trials.made, rigs, data)
         enough = 1e-7 if precisely else 1e-3
-        best = self._refined(made, rigs, data, state, period, shift, 2 * cell, enough)
+        best = self._refined(trials, rigs, data, state, period, shift, 2 * cell, enough)
         if self.plan.begins == "settled":
             length = period * 2 * np.pi / rigs.angular_frequency
             best = best._replace(shift=best.shift - np.round(best.shift / length) * length)
@@ -296,14 +276,14 @@ class HistoryMisfit:
             shift[k] = shifts[int(np.argmin(costs))] * cell[k]
         return shift, cell
 
-    def _refined(self, made, rigs, data, state, period, shift, longest, enough) -> Trial:
+    def _refined(self, trials, rigs, data, state, period, shift, longest, enough) -> Trial:
         """Close the motions and find their shifts, all lanes together."""
         best, step = None, np.zeros(len(shift))
         for _ in range(MOST_ROUNDS):
             passed = jax.device_get(
-                pass_through(made.rigs, made.slopes, self.plan, data.time, state, shift, period)
+                pass_through(trials.made, trials.slopes, self.plan, data.time, state, shift, period)
             )
-            here = _tried(data, passed, rigs, state, shift, len(self.names), self.plan)
+            here = _tried(data, passed, rigs, state, shift, len(self.maker.names), self.plan)
             better = np.ones(len(shift), bool)
             if best is not None:
                 better = ~best.closed | (here.closed & (here.cost < best.cost))
@@ -333,7 +313,7 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
         raise ValueError(
             f"{kind} is not linear but for its stops: histories of such a system are not fitted."
         )
-    if getattr(eqx.filter_eval_shape(system.equations), "memory_size", 0):
+    if getattr(equation_kinds(system), "memory_size", 0):
         raise ValueError(
             f"{kind} has a stop whose law has an internal state: histories of such a system are "
             "not fitted."

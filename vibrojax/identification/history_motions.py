@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import AbstractDrive, BaseMotion, Harmonic, NoDrive
 from vibrojax.model.equations import LinearEquations
@@ -19,7 +20,7 @@ from vibrojax.model.systems import Motion, as_arrays
 from vibrojax.steady.starting import stepper
 from vibrojax.stepping import splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
-from vibrojax.stepping.method import ExponentialSplitting
+from vibrojax.stepping.stepper import ExponentialSplitting
 
 lax = jax.lax
 
@@ -64,13 +65,6 @@ class Rig(eqx.Module):
     """Weights that make states comparable: norms of weighted states are energies."""
 
 
-class Rigs(NamedTuple):
-    """Trial rigs, and their derivatives in the numbers sought."""
-
-    rigs: Rig
-    slopes: Rig
-
-
 class Passed(NamedTuple):
     """Motions at the measured times, with derivatives along the last axis.
 
@@ -84,26 +78,8 @@ class Passed(NamedTuple):
     end_derivative: Float[AnyArray, "lanes states directions"]
 
 
-@eqx.filter_jit
-def make_rigs(make, names, static, plan, values, fixed, frequency, release) -> Rigs:
-    """Make the trial rigs with these numbers (lanes by names)."""
-
-    def one(values, fixed, frequency, release):
-        def build(values):
-            system = make(**static, **fixed, **dict(zip(names, values, strict=True)))
-            return _rig(system, plan, frequency, release)
-
-        rows = jnp.eye(len(names))
-        made, slopes = jax.vmap(
-            lambda row: eqx.filter_jvp(build, (values,), (row,)), out_axes=(None, 0)
-        )(rows)
-        fill = lambda a, b: jnp.zeros((len(names), *jnp.shape(a))) if b is None else b  # noqa: E731
-        return Rigs(made, jax.tree.map(fill, made, slopes))
-
-    return jax.vmap(one)(values, fixed, frequency, release)
-
-
-def _rig(system: Any, plan: Plan, frequency, release) -> Rig:
+def rig_of(system: Any, plan: Plan, frequency, release) -> Rig:
+    """Make a trial rig ready to be driven at a frequency, or released."""
     equations = system.equations()
     unit = equations.angular_frequency[0] if plan.is_ratio else jnp.asarray(2 * jnp.pi)
     sensor = equations.response_map
@@ -132,9 +108,10 @@ def _advance(motion: Motion, exact: bool, start, duration, state):
     method = stepper(exact)
     if not isinstance(method, ExponentialSplitting):
         return method.advance(motion, start, duration, state, None)
-    assert isinstance(motion.equations, LinearEquations)
+    equations = motion.equations.linear_between_contacts
+    assert equations is not None  # checked before
     _, rate, _ = motion.waveform.phase(start)
-    per_period = splitting.steps_for(motion.equations, rate, jnp.asarray(method.tolerance))
+    per_period = splitting.steps_for(equations, rate, jnp.asarray(method.tolerance))
     # An interval of length zero would have no derivative.
     duration = duration + 1e-12 / rate
     steps = jnp.ceil(lax.stop_gradient(duration * per_period * rate) / (2 * jnp.pi))
@@ -188,7 +165,7 @@ def _signals(rig: Rig, plan: Plan, times, states) -> Float[Array, "channels samp
     return jax.vmap(read)(times, states).T
 
 
-@eqx.filter_jit
+@compiled
 def settle(
     rigs: Rig, plan: Plan
 ) -> tuple[Float[Array, "visits 2 lanes states"], Int[Array, "2 lanes"]]:
@@ -232,7 +209,7 @@ def settle(
     return states, period.reshape(2, -1).astype(jnp.int32)
 
 
-@eqx.filter_jit
+@compiled
 def sampled_signals(rigs: Rig, plan: Plan, state, span, count: int):
     """Signals (lanes, channels, count) at equal intervals from time 0 over a span (s)."""
 
@@ -243,7 +220,7 @@ def sampled_signals(rigs: Rig, plan: Plan, state, span, count: int):
     return jax.vmap(one)(rigs, state, span)
 
 
-@eqx.filter_jit
+@compiled
 def pass_through(rigs: Rig, slopes: Rig, plan: Plan, time, state, shift, period) -> Passed:
     """Pass through the measured times (lanes, samples), each moved by the shift (s) of its lane.
 

@@ -16,14 +16,11 @@ from vibrojax._tools.files import path_of
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continue_response import continue_response
+from vibrojax.ensemble.ranges import Range
 from vibrojax.identification.fit import Fit
-from vibrojax.identification.fitted_data import fitted_data
-from vibrojax.identification.planning import what_next
-from vibrojax.identification.posterior import Posterior
-from vibrojax.identification.profile import Profile
-from vibrojax.identification.profiling import profile
-from vibrojax.identification.sampling import sample
-from vibrojax.identification.what_next import WhatNext
+from vibrojax.identification.posterior import Posterior, sample
+from vibrojax.identification.profile import Profile, profile
+from vibrojax.identification.what_next import WhatNext, what_next
 from vibrojax.results.saving import whole_files
 from vibrojax.results.variables import named_value
 
@@ -48,7 +45,8 @@ class Identification(Fit):
         if not hasattr(measured, "frequency_name"):
             raise ValueError(f"measurement must be that of a curve, got {measurement}: a history.")
         frequency = measured.frequency
-        along: Any = {measured.frequency_name: (0.98 * frequency.min(), 1.02 * frequency.max())}
+        over = Range(0.98 * float(frequency.min()), 1.02 * float(frequency.max()))
+        along: Any = {measured.frequency_name: over}
         branch: Any = continue_response(self.system(measurement), **along)
         return branch
 
@@ -93,24 +91,17 @@ class Identification(Fit):
         title = [f"measurement {measurement + 1} of {count}"] if count > 1 else []
         title += [measured.label] if measured.label else []
         title += [named_value(name, value) for name, value in measured.parameters.items()]
-        data = fitted_data(measured, self.predictions[measurement])
         from vibrojax.plot.identification import plot_identification
 
-        return plot_identification(data, self._estimates(), ", ".join(title))
+        return plot_identification(
+            self.predictions[measurement], self._estimates(), ", ".join(title)
+        )
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return estimates over `parameter`, and points and curve of every curve measured."""
         dataset = self._estimates()
-        for k, (m, p) in enumerate(zip(self.measured, self.predictions, strict=True)):
+        for k, own in enumerate(self.predictions):
             end = "" if len(self.measured) == 1 else f"_{k}"
-            own = fitted_data(m, p)
-            if "curve_frequency" in own:
-                told = "Change of the number without the point over its deviation"
-                own["influence"] = (
-                    ("point", "parameter"),
-                    self.influence[k],
-                    {"long_name": told, "units": "1"},
-                )
             names = {*own.data_vars, *own.dims} - {"parameter"}
             dataset = dataset.merge(own.rename({n: f"{n}{end}" for n in names}))
         return dataset.assign_attrs(self._attributes())
@@ -120,19 +111,17 @@ class Identification(Fit):
         import xarray
 
         names = list(self.names)
+        fitted = {"units": "SI, as the rig's argument", "long_name": "Fitted number"}
         data: dict[str, Any] = {
-            "estimate": ("parameter", list(self.estimate.values())),
-            "interval": (("parameter", "end"), [self.interval[n] for n in names]),
-            "standard_deviation": ("parameter", [self.standard_deviation[n] for n in names]),
-            "identifiable": ("parameter", [self.identifiable[n] for n in names]),
-            "identifiability": ("parameter", [self.identifiability[n] for n in names]),
-            "correlation": (("parameter", "other_parameter"), self.correlation),
+            name: ("parameter", [getattr(self, name)[n] for n in names], fitted)
+            for name in ("estimate", "standard_deviation")
         }
-        described = {"long_name": "Fitted number", "units": "SI, as the rig's argument"}
-        for name in ("estimate", "interval", "standard_deviation"):
-            data[name] = (*data[name], described)
-        for name in ("identifiable", "identifiability", "correlation"):
-            data[name] = (*data[name], {"long_name": name.capitalize(), "units": "1"})
+        data["interval"] = ("parameter", "end"), [self.interval[n] for n in names], fitted
+        for name in ("identifiable", "identifiability"):
+            about = {"long_name": name.capitalize(), "units": "1"}
+            data[name] = "parameter", [getattr(self, name)[n] for n in names], about
+        about = {"long_name": "Correlation", "units": "1"}
+        data["correlation"] = ("parameter", "other_parameter"), self.correlation, about
         coordinates = {"parameter": names, "other_parameter": names, "end": ["low", "high"]}
         return xarray.Dataset(data, coordinates, attrs=self._misfit())
 
@@ -150,7 +139,7 @@ class Identification(Fit):
 
     def _attributes(self) -> dict[str, Any]:
         return self._misfit() | {
-            "objective": self.asked.objective,
+            "objective": self.problem.objective,
             "rig": recipe(self.system()),
             "vibrojax_version": version("vibrojax"),
             "jax_version": version("jax"),

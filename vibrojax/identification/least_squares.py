@@ -6,7 +6,8 @@ residual as what it is to first order at the point it asks for.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,10 +17,14 @@ import optax
 import optimistix as optx
 
 from vibrojax._tools.checks import check_count
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.signatures import validated
+from vibrojax.steady.batches import filled_up
 
 Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """From points (lanes by unknowns) and the index of their starts to residuals and Jacobians."""
+WIDTH = 8
+"""Starts in one step; more are filled up to full widths."""
 PATIENCE = 4
 """Evaluations without a gain after which a start has ended."""
 JACOBIAN = {"jac": "bwd"}
@@ -30,26 +35,15 @@ class Found(NamedTuple):
     """Where the starts of a search ended."""
 
     point: np.ndarray
+    """Starts by unknowns."""
     cost: np.ndarray
     """Sum of squares."""
     converged: np.ndarray
     evaluations: np.ndarray
 
 
-@runtime_checkable
-class Search(Protocol):
-    """A way to minimise."""
-
-    def __call__(
-        self,
-        evaluate: Evaluate,
-        start: np.ndarray,
-        low: np.ndarray,
-        high: np.ndarray,
-        tolerance: float,
-    ) -> Found:
-        """Search from every start, within the bounds."""
-        ...
+Search = Callable[[Evaluate, np.ndarray, np.ndarray, np.ndarray, float], Found]
+"""A way to minimise: from a model, starts, low and high bounds and a tolerance to where it ends."""
 
 
 def _affine(point, args):
@@ -66,16 +60,15 @@ def _reduced(residual: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np
     return rows[:, :, -1], rows[:, :, :-1]
 
 
-@eqx.filter_jit
+@compiled
 def _begin(solver, start, args):
     def one(point, args):
-        shape = jax.eval_shape(lambda: _affine(point, args)[0])
-        return solver.init(_affine, point, args, JACOBIAN, shape, None, frozenset())
+        return solver.init(_affine, point, args, JACOBIAN, args[0], None, frozenset())
 
     return jax.vmap(one)(start, args)
 
 
-@eqx.filter_jit
+@compiled
 def _step(solver, point, state, args):
     def one(point, state, args):
         point, state, _ = solver.step(_affine, point, args, JACOBIAN, state, frozenset())
@@ -85,13 +78,15 @@ def _step(solver, point, state, args):
     return jax.vmap(one)(point, state, args)
 
 
+@compiled
+def _update(optimiser, gradient, state, point):
+    return jax.vmap(optimiser.update)(gradient, state, point)
+
+
 def _decrement(residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
     """By how much the sum of squares would still fall, to first order."""
-    falls = []
-    for r, j in zip(residual, jacobian, strict=True):
-        step = np.linalg.lstsq(j, r, rcond=1e-12)[0]
-        falls.append(r @ j @ step)
-    return np.array(falls)
+    pairs = zip(residual, jacobian, strict=True)
+    return np.array([r @ j @ np.linalg.lstsq(j, r, rcond=1e-12)[0] for r, j in pairs])
 
 
 def _held(point, jacobian, residual, low, high):
@@ -102,24 +97,21 @@ def _held(point, jacobian, residual, low, high):
 
 
 @validated
+@dataclass(frozen=True)
 class LevenbergMarquardt:
     """optimistix.LevenbergMarquardt, within bounds, for many starts.
-
-    Parameters:
-        most_steps: steps from a start before it is given up.
-        solver: a class of optimistix to make the solver from, called with rtol and atol.
 
     Raises `ValueError` for fewer than one step.
     """
 
-    most_steps: int
-    solver: Callable[..., Any]
+    most_steps: int = 60
+    """Steps from a start before it is given up."""
+    solver: Callable[..., Any] = optx.LevenbergMarquardt
+    """A class of optimistix to make the solver from, called with rtol and atol."""
 
-    def __init__(
-        self, most_steps: int = 60, solver: Callable[..., Any] = optx.LevenbergMarquardt
-    ) -> None:
-        check_count("most_steps", most_steps)
-        self.most_steps, self.solver = most_steps, solver
+    def __post_init__(self) -> None:
+        """Check the number of steps."""
+        check_count("most_steps", self.most_steps)
 
     def __call__(
         self,
@@ -136,17 +128,14 @@ class LevenbergMarquardt:
         solver = self.solver(rtol=1e-8, atol=1e-8)
         lanes, unknowns = start.shape
         best = np.clip(start, low, high)
-        cost = np.full(lanes, np.inf)
-        count = np.zeros(lanes, int)
-        idle = np.zeros(lanes, int)
-        done = np.zeros(lanes, bool)
-        args = (
-            np.zeros((lanes, unknowns + 1)),
-            np.zeros((lanes, unknowns + 1, unknowns)),
-            best,
-        )
-        state = _begin(solver, jnp.asarray(best), jax.tree.map(jnp.asarray, args))
-        point = jnp.asarray(best)
+        cost, done = np.full(lanes, np.inf), np.zeros(lanes, bool)
+        count, idle = np.zeros((2, lanes), int)
+        # Filled up with the last lane, so that the number of starts compiles nothing anew.
+        full = best[filled_up(lanes, WIDTH)]
+        size = len(full), unknowns + 1
+        args = np.zeros(size), np.zeros((*size, unknowns)), full.copy()
+        point = jnp.asarray(full)
+        state = _begin(solver, point, jax.tree.map(jnp.asarray, args))
         for _ in range(self.most_steps):
             asked = np.clip(np.asarray(state.y_eval), low, high)
             state = eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(asked))
@@ -163,37 +152,33 @@ class LevenbergMarquardt:
             reduced = _reduced(residual, jacobian)
             for a, b in zip(args, (*reduced, asked[active]), strict=True):
                 a[active] = b
+                a[lanes:] = a[lanes - 1]
             point, state, stopped = _step(solver, point, state, jax.tree.map(jnp.asarray, args))
             # Next to the minimum a step can be refused for rounding; there is nothing to gain.
             done[active] |= better & (_decrement(residual, jacobian) < tolerance)
-            done |= np.asarray(stopped) | (idle >= PATIENCE)
+            done |= np.asarray(stopped)[:lanes] | (idle >= PATIENCE)
             if done.all():
                 break
         return Found(best, cost, done, count)
 
-    def __repr__(self) -> str:
-        solver = getattr(self.solver, "__qualname__", repr(self.solver))
-        return f"LevenbergMarquardt(most_steps={self.most_steps}, solver={solver})"
-
 
 @validated
+@dataclass(frozen=True)
 class Optax:
     """Any optax optimiser on half the sum of squares, for many starts.
-
-    Parameters:
-        optimiser: an optax transformation, such as `optax.adam(0.05)`; the numbers it moves are
-            scaled as the `transforms` of `identify` say.
-        steps: steps from a start before it is given up.
 
     Raises `ValueError` for fewer than one step.
     """
 
-    optimiser: optax.GradientTransformation
-    steps: int
+    optimiser: optax.GradientTransformation = field(repr=False)
+    """An optax transformation, such as `optax.adam(0.05)`; the numbers it moves are scaled as the
+    `transforms` of `identify` say."""
+    steps: int = 200
+    """Steps from a start before it is given up."""
 
-    def __init__(self, optimiser: optax.GradientTransformation, steps: int = 200) -> None:
-        check_count("steps", steps)
-        self.optimiser, self.steps = optimiser, steps
+    def __post_init__(self) -> None:
+        """Check the number of steps."""
+        check_count("steps", self.steps)
 
     def __call__(
         self,
@@ -204,24 +189,21 @@ class Optax:
         tolerance: float,
     ) -> Found:
         """Take steps until none of them moves a point by more than the tolerance."""
-        point = jnp.clip(jnp.asarray(start), low, high)
-        best, cost = np.array(point), np.full(len(start), np.inf)
-        update = jax.jit(jax.vmap(self.optimiser.update))
-        state = jax.vmap(self.optimiser.init)(point)
+        lanes = np.arange(len(start))
+        fill = filled_up(len(start), WIDTH)
+        best, cost = np.clip(start, low, high), np.full(len(start), np.inf)
+        point = best[fill]
+        state = jax.vmap(self.optimiser.init)(jnp.asarray(point))
         moved = np.full(len(start), np.inf)
         taken = 0
         while taken < self.steps and (moved > tolerance).any():
-            residual, jacobian = evaluate(np.asarray(point), np.arange(len(start)))
+            residual, jacobian = evaluate(point[lanes], lanes)
             size = np.sum(residual**2, axis=1)
             better = size < cost
-            best[better], cost[better] = np.asarray(point)[better], size[better]
-            gradient = jnp.asarray(np.einsum("lrp,lr->lp", jacobian, residual))
-            change, state = update(gradient, state, point)
-            after = jnp.clip(point + change, low, high)
-            moved = np.max(np.abs(np.asarray(after - point)), axis=1)
+            best[better], cost[better] = point[lanes][better], size[better]
+            gradient = np.einsum("lrp,lr->lp", jacobian, residual)[fill]
+            change, state = _update(self.optimiser, gradient, state, point)
+            after = np.clip(point + np.asarray(change), low, high)
+            moved = np.max(np.abs(after - point), axis=1)[lanes]
             point, taken = after, taken + 1
         return Found(best, cost, moved <= tolerance, np.full(len(start), taken))
-
-    def __repr__(self) -> str:
-        # An optax transformation is a pair of nameless functions.
-        return f"Optax(optimiser={type(self.optimiser).__name__}, steps={self.steps})"

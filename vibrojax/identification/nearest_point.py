@@ -6,12 +6,13 @@ tangent of the curve takes it to where the measured point is nearest, and the sa
 the derivatives in the numbers that are sought.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.branches.continuation import dot
 from vibrojax.identification.sensor import Sensor, observe
@@ -41,33 +42,25 @@ class Target(NamedTuple):
 
 
 class Nearest(NamedTuple):
-    """The nearest point of a curve."""
-
-    settled: Bool[Array, "..."]
-    """Whether further rounds would not move it."""
-    found: Bool[Array, "..."]
-    """Whether it is on the curve; else the guess itself stands here."""
-    frequency: Float[Array, "..."]
-    channels: Float[Array, "... channels"]
-    residual: Float[Array, "... coordinates"]
-    """Measured minus nearest, in units of the scales: frequency first, then the channels."""
-    derivative: Float[Array, "... coordinates numbers"]
-    """Of the residual in the numbers sought, the nearest point following."""
-
-
-class _Round(NamedTuple):
-    """What a round saw: how far it had to move, and the nearest point as it stood before."""
+    """The nearest point of a curve, and what the last round still did to find it."""
 
     newton: Float[Array, " points"]
     way: Float[Array, " points"]
     step: Float[Array, " points"]
     found: Bool[Array, " points"]
-    frequency: Float[Array, " points"]
-    channels: Float[Array, "points channels"]
+    """Whether it is on the curve; else the guess itself stands here."""
     residual: Float[Array, "points coordinates"]
+    """Measured minus nearest, in units of the scales: frequency first, then the channels."""
     derivative: Float[Array, "points coordinates numbers"]
+    """Of the residual in the numbers sought, the nearest point following."""
 
 
+def settled(nearest: Any, close: Any) -> Any:
+    """Whether further rounds would not move a point."""
+    return (nearest.newton < close) & (abs(nearest.way) < close)
+
+
+@compiled
 def nearest_points(
     paths: FrequencyPath,
     slopes: FrequencyPath,
@@ -99,7 +92,7 @@ def nearest_points(
             )
             per_second = samples * place.angular_frequency / (2 * jnp.pi)
             here = balance(problem, depth, per_second, samples)
-            channels = observe(sensor, place, problem, here.force, depth, 1)
+            channels = observe(sensor, place, problem, here.force, depth)
             return (here.residual, channels), (here, problem)
 
         # How the place moves with the frequency, then with the numbers.
@@ -132,7 +125,7 @@ def nearest_points(
             value, rate = jnp.fft.irfft(both, samples)
             force = jnp.fft.rfft(here.stiffness * value + here.damping * rate)
             return jax.jvp(
-                lambda d, f: observe(sensor, place, problem, f, d, 1),
+                lambda d, f: observe(sensor, place, problem, f, d),
                 (depth, here.force),
                 (change, force),
             )[1]
@@ -162,9 +155,7 @@ def nearest_points(
             newton,
             way,
             step,
-            # As they will be after this step, to first order.
-            frequency + shifts[0] + way * unit,
-            channels + rows[0] + way * rows[-1],
+            # As it will be after this step, to first order.
             residual - lines[0] - way * line,
             derivative,
         )
@@ -185,7 +176,7 @@ def nearest_points(
         depth, frequency, newton, way, step, *rest = jax.vmap(advance)(
             target, depth, frequency, last, place, problem, here, solved, channels, seen
         )
-        there = _Round(newton, way, step, ~lost, *rest)
+        there = Nearest(newton, way, step, ~lost, *rest)
         return k + 1, depth, frequency, there
 
     unknowns = depth.shape[1] * samples
@@ -196,23 +187,17 @@ def nearest_points(
     ]
 
     def unfinished(carry):
-        k, last = carry[0], carry[3]
-        near = (last.newton < close) & (jnp.abs(last.way) < close)
-        return (k <= rounds) & ~jnp.all(near)
+        return (carry[0] <= rounds) & ~jnp.all(settled(carry[3], close))
 
     points, size = frequency.shape[0], 1 + sensor.channels
     guess = (depth, frequency)
     far = jnp.full(points, jnp.inf)
-    first = _Round(
+    first = Nearest(
         newton=far,
         way=far,
         step=jnp.zeros(points),
         found=jnp.zeros(points, bool),
-        frequency=jnp.asarray(frequency),
-        channels=jnp.zeros((points, sensor.channels)),
         residual=jnp.zeros((points, size)),
         derivative=jnp.zeros((points, size, number)),
     )
-    *_, last = lax.while_loop(unfinished, turn, (0, depth, frequency, first))
-    near = (last.newton < close) & (jnp.abs(last.way) < close)
-    return Nearest(near, *last[3:])
+    return lax.while_loop(unfinished, turn, (0, depth, frequency, first))[3]

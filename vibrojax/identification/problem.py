@@ -1,49 +1,178 @@
-"""All data and all unknowns of an identification, as one least-squares problem."""
+"""From a call of `identify` to least squares: what is fitted, what is held, what is measured."""
 
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from vibrojax.identification.coordinates import Coordinate
+from vibrojax._tools.checks import check_choice, check_names
+from vibrojax._tools.described import in_short
+from vibrojax.ensemble.arguments import arguments_of, numbers_apart
+from vibrojax.ensemble.frequencies import check_drive
+from vibrojax.ensemble.lanes import made_by
+from vibrojax.identification.coordinates import Coordinate, coordinate_of
+from vibrojax.identification.curve_misfit import CurveMisfit, FoldMisfit
+from vibrojax.identification.history_misfit import HistoryMisfit
+from vibrojax.identification.trial_rigs import Maker
+from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
+from vibrojax.measured.history import MeasuredHistory
+from vibrojax.measured.reading import read_measured_curve
+from vibrojax.model.systems import AbstractSystem
+
+OBJECTIVES = ("distance", "pointwise", "folds")
+Measurement = MeasuredCurve | MeasuredHistory
 
 
-@runtime_checkable
-class Misfit(Protocol):
-    """Distance of one measurement from the model."""
-
-    names: tuple[str, ...]
-    """Arguments of the user's function it depends on."""
-
-    @property
-    def size(self) -> int:
-        """How many residuals there are."""
-        ...
-
-    def residuals(
-        self,
-        values: np.ndarray,
-        which: np.ndarray,
-        frequency_scale: float,
-        *,
-        precisely: bool = False,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (lanes by size) and their derivatives (lanes by size by names)."""
-        ...
+def measurements_of(measured: Any) -> tuple[Measurement, ...]:
+    """Return what was measured as a tuple. Raises `ValueError` for anything else."""
+    if isinstance(measured, str | Path):
+        measured = read_measured_curve(measured)
+    if isinstance(measured, Measurement):
+        return (measured,)
+    if isinstance(measured, MeasuredCurves | Sequence):
+        parts = [part for one in measured for part in measurements_of(one)]
+        if parts:
+            return tuple(parts)
+    raise ValueError(
+        "measured must be a MeasuredCurve, a MeasuredHistory, several of them or the path of a "
+        f"curve, got {in_short(measured)}."
+    )
 
 
-class Part(NamedTuple):
-    """One measurement: its misfit, and which unknown each of its arguments is."""
+def repetitions_of(measured: Any) -> list[tuple[Measurement, ...]]:
+    """Return what is fitted one by one. Raises `ValueError` unless all are of one size."""
+    if isinstance(measured, str) or not isinstance(measured, MeasuredCurves | Sequence):
+        raise ValueError(
+            "measured must be a list, each of its elements to be fitted by itself (together=False),"
+            f" got {in_short(measured)}."
+        )
+    data = [measurements_of(one) for one in measured]
+    if not data:
+        raise ValueError("measured is empty: give at least one measurement to fit by itself.")
+    shapes = {tuple(m.size for m in parts) for parts in data}
+    if len(shapes) > 1:
+        raise ValueError(
+            "measured: what is fitted one by one (together=False) must have the same numbers of "
+            f"points, got {sorted(shapes)}. Fit those of one size in a call."
+        )
+    return data
 
-    misfit: Misfit
-    unknowns: tuple[int, ...]
+
+def label_of(measurement: Measurement, index: int) -> str:
+    """Name of a measurement among others."""
+    return measurement.label or str(index + 1)
+
+
+def fitted_and_held(
+    make: Callable[..., AbstractSystem],
+    measured: tuple[Measurement, ...],
+    guess: Mapping[str, float],
+    bounds: Mapping[str, Any],
+    private: Sequence[str],
+    transforms: Mapping[str, str],
+    held: Mapping[str, Any],
+) -> tuple[tuple[Coordinate, ...], dict[str, Any]]:
+    """Coordinates of all that is fitted, and what is held. Raises `ValueError` as `identify`."""
+    if not guess:
+        raise ValueError(
+            f"guess must name at least one number to fit, as dict(stiffness=3000.0), got {guess!r}."
+        )
+    of_curves = {n: v for m in measured for n, v in m.parameters.items()}
+    places = {"guess": guess, "private": private, "parameters of measured": of_curves}
+    for where, names in places.items():
+        check_names(make, names, where)
+    for where, names in {"bounds": bounds, "transforms": transforms, "private": private}.items():
+        for name in names:
+            if name not in guess:
+                raise ValueError(f"{where} of {name!r}: it is not in guess, so it is not fitted.")
+    for name in guess:
+        if name in held:
+            raise ValueError(f"{name} is both fitted (in guess) and held fixed at {held[name]}.")
+        if name in of_curves:
+            raise ValueError(
+                f"{name} is fitted (in guess), but the measurement says what it is. Leave it out "
+                "of one of the two."
+            )
+    named = arguments_of(make, (), {**of_curves, **guess, **held})
+    if named.dimensions:
+        name = named.dimensions[0].name
+        raise ValueError(
+            f"{name} must be one value that is held fixed, got {in_short(held[name])}. One rig is "
+            f"fitted: call identify once for each value, or put {name} in guess."
+        )
+    labels = [label_of(m, k) for k, m in enumerate(measured)]
+    twice = [label for label in labels if labels.count(label) > 1]
+    if private and twice:
+        raise ValueError(f"Two measurements have the label {twice[0]!r}.")
+    found = []
+    for name, value in guess.items():
+        one = coordinate_of(name, float(value), bounds.get(name), transforms.get(name))
+        found += [one._replace(label=m) for m in labels] if name in private else [one]
+    return tuple(found), {n: v for n, v in named.fixed.items() if n in held}
 
 
 class Problem:
-    """Least squares in the coordinates of the unknowns."""
+    """Least squares in the coordinates of the unknowns, of several repetitions side by side.
 
-    def __init__(self, parts: Sequence[Part], coordinates: Sequence[Coordinate]):
-        self.parts, self.coordinates = tuple(parts), tuple(coordinates)
+    Raises `ValueError` for data that cannot be fitted.
+    """
+
+    def __init__(
+        self,
+        make: Callable[..., AbstractSystem],
+        repetitions: Sequence[tuple[Measurement, ...]],
+        coordinates: tuple[Coordinate, ...],
+        objective: str,
+        held: dict[str, Any],
+    ):
+        check_choice("objective", objective, OBJECTIVES)
+        self.make, self.coordinates, self.objective = make, coordinates, objective
+        self.held = held
+        self.unknowns: list[dict[str, int]] = []
+        """Index of every argument that is fitted, by measurement."""
+        self.misfits: list[CurveMisfit | HistoryMisfit] = []
+        for k, same in enumerate(zip(*repetitions, strict=True)):
+            label = label_of(same[0], k)
+            own = {c.argument: i for i, c in enumerate(coordinates) if c.label in ("", label)}
+            self.unknowns.append(own)
+            self.misfits.append(self._misfit(k, same))
+        count = sum(m.size for m in repetitions[0])
+        if count < len(coordinates):
+            raise ValueError(
+                f"There are fewer measured points ({count}) than numbers to fit "
+                f"({len(coordinates)}): measure more, or fit less."
+            )
+
+    def _misfit(self, k: int, same: Sequence[Any]) -> CurveMisfit | HistoryMisfit:
+        """Set up the misfit of one measurement, in all of its repetitions."""
+        guess = [c.guess for c in self.coordinates]
+        sample = self.system(guess, k, same[0])
+        if len({type(m) for m in same}) > 1:
+            raise ValueError(
+                "measured: what is fitted one by one (together=False) must hold curves and "
+                "histories in the same order."
+            )
+        fixed, static = numbers_apart(self.held | same[0].parameters)
+        maker = Maker(self.make, tuple(self.unknowns[k]), fixed, static)
+        if isinstance(same[0], MeasuredHistory):
+            return HistoryMisfit(maker, same)
+        check_drive(sample)
+        pointwise = self.objective != "distance"
+        misfit = (FoldMisfit if self.objective == "folds" else CurveMisfit)(maker, same, pointwise)
+        paths = misfit.lanes(np.array([[guess[i] for i in self.unknowns[k].values()]])).made
+        natural = np.asarray(paths.equations.angular_frequency)[0] / float(paths.unit[0])
+        if not misfit.is_ratio:
+            misfit.unit = float(natural[0])
+        _check_overlap(misfit, natural)
+        return misfit
+
+    def system(
+        self, numbers: Sequence[float] | np.ndarray, k: int, measured: Measurement
+    ) -> AbstractSystem:
+        """Make the rig of the `k`-th measurement with these numbers (unknowns)."""
+        fitted = {name: float(numbers[i]) for name, i in self.unknowns[k].items()}
+        return made_by(self.make, self.held | measured.parameters | fitted)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -56,16 +185,24 @@ class Problem:
         low, high = zip(*(c.limits for c in self.coordinates), strict=True)
         return np.array(low), np.array(high)
 
+    @property
+    def guess(self) -> np.ndarray:
+        """Coordinates of the guess."""
+        return np.array([float(c.inside(c.guess)) for c in self.coordinates])
+
     def numbers(self, points: np.ndarray) -> np.ndarray:
         """Numbers at some points (lanes by unknowns)."""
-        points = np.asarray(points)
         columns = [c.number(points[..., k]) for k, c in enumerate(self.coordinates)]
         return np.stack(columns, axis=-1)
 
-    def point(self, numbers: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Coordinates of some numbers."""
-        rows = zip(self.coordinates, np.asarray(numbers, float), strict=True)
-        return np.array([float(c.inside(v)) for c, v in rows])
+    def of_measurement(self, k: int, points: np.ndarray) -> np.ndarray:
+        """Numbers at some points (lanes by unknowns) that a measurement has to do with."""
+        return self.numbers(points)[:, list(self.unknowns[k].values())]
+
+    def slopes(self, points: np.ndarray) -> np.ndarray:
+        """Derivatives of the numbers in their coordinates (lanes by unknowns)."""
+        columns = [c.slope(points[..., k]) for k, c in enumerate(self.coordinates)]
+        return np.stack(columns, axis=-1)
 
     def evaluate(
         self,
@@ -75,18 +212,47 @@ class Problem:
         *,
         precisely: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals and their derivatives in the coordinates."""
-        numbers = self.numbers(points)
-        slopes = [c.slope(points[:, k]) for k, c in enumerate(self.coordinates)]
-        residuals, jacobians = [], []
-        for part in self.parts:
-            index = np.array(part.unknowns)
-            residual, derivative = part.misfit.residuals(
-                numbers[:, index], which, frequency_scale, precisely=precisely
+        """Residuals and their derivatives in the coordinates; `which`: repetition of each lane."""
+        slopes, residuals, jacobians = self.slopes(points), [], []
+        for k, misfit in enumerate(self.misfits):
+            residual, derivative = misfit.residuals(
+                self.of_measurement(k, points), which, frequency_scale, precisely=precisely
             )
             jacobian = np.zeros((*residual.shape, len(self.coordinates)))
-            for column, k in enumerate(part.unknowns):
-                jacobian[:, :, k] += derivative[:, :, column] * slopes[k][:, None]
+            own = list(self.unknowns[k].values())
+            jacobian[:, :, own] = derivative * slopes[:, None, own]
             residuals.append(residual)
             jacobians.append(jacobian)
         return np.concatenate(residuals, axis=1), np.concatenate(jacobians, axis=1)
+
+    def check_contact(self, repetitions: int) -> None:
+        """Raise `ValueError` where only the stops are fitted and the data show no contact."""
+        curves = [(k, m) for k, m in enumerate(self.misfits) if isinstance(m, CurveMisfit)]
+        if len(curves) < len(self.misfits):
+            return
+        # Numbers a little off: those of the stops change nothing without contact.
+        points = self.guess + np.eye(len(self.coordinates) + 1, len(self.coordinates), -1) * 1e-2
+        for which in range(repetitions):
+            residual = np.concatenate(
+                [m.without_contact(self.of_measurement(k, points), which) for k, m in curves], 1
+            )
+            squares, count = float(residual[0] @ residual[0]), residual.shape[1]
+            if squares < 1.5 * count and np.abs(residual[1:] - residual[0]).max() < 1e-9:
+                raise ValueError(
+                    "The measured curve never touches the stop: the beam without contact explains "
+                    f"it (reduced chi-square {squares / count:.3g}), so contact cannot be "
+                    "identified from it. Drive harder, close the gap, or measure nearer to "
+                    "resonance."
+                )
+
+
+def _check_overlap(misfit: CurveMisfit, natural: np.ndarray) -> None:
+    """Refuse frequencies that are not those of the model (`natural`, in their unit)."""
+    low, high = float(misfit.frequency.min()), float(misfit.frequency.max())
+    if high < 0.05 * natural[0] or low > 1.5 * natural[-1]:
+        hertz = "" if misfit.is_ratio else " Hz"
+        raise ValueError(
+            f"The measured frequencies, {low:.4g} to {high:.4g}{hertz}, do not overlap those of "
+            f"the model, whose natural frequencies are {', '.join(f'{f:.4g}' for f in natural)}"
+            f"{hertz}. Check the unit of the frequency (Hz or ratio) and the rig."
+        )

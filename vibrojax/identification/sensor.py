@@ -44,7 +44,6 @@ def observe(
     problem: Problem,
     force: Complex[Array, "stops harmonics"],
     depth: Complex[Array, "stops harmonics"],
-    period: int,
 ) -> Float[Array, " channels"]:
     """Read the channels of a sensor off a balanced motion and its averaged contact force."""
     count = depth.shape[-1]
@@ -53,47 +52,44 @@ def observe(
     values = []
     if sensor.quantity is not None:
         push = jnp.einsum("bk,bk->k", problem.receptance.response_from_force, force / average)
-        values.append(_shown(sensor, place, problem.response_drive + push, period))
+        values.append(_shown(sensor, place, problem.response_drive + push))
     if sensor.with_force:
-        per_second = samples / period * place.angular_frequency / (2 * jnp.pi)
+        per_second = samples * place.angular_frequency / (2 * jnp.pi)
         values.append(_largest_force(place, depth / average, per_second))
     return jnp.stack(values)
 
 
-def _shown(sensor: Sensor, place: Place, spectrum: Complex[Array, " harmonics"], period: int):
+def _shown(sensor: Sensor, place: Place, spectrum: Complex[Array, " harmonics"]):
     samples = 2 * (spectrum.size - 1)
     if sensor.absolute and isinstance(place.drive, BaseMotion):
-        spectrum = spectrum.at[period].add(-0.5j * place.drive.amplitude * samples)
-    base = place.angular_frequency / period * np.arange(spectrum.size)
-    spectrum = spectrum * (1j * base) ** ORDERS[sensor.signal]
+        spectrum = spectrum.at[1].add(-0.5j * place.drive.amplitude * samples)
+    rates = 1j * place.angular_frequency * np.arange(spectrum.size)
+    spectrum = spectrum * rates ** ORDERS[sensor.signal]
     if sensor.is_ratio:
         spectrum = spectrum / place.drive.reference[0]
     if sensor.quantity == "first_harmonic":
-        return 2 / samples * jnp.abs(spectrum[period])
+        return 2 / samples * jnp.abs(spectrum[1])
     # The highest harmonic has no phase at the samples: it is left out.
     finer, spectrum = FINER * samples, FINER * spectrum.at[-1].set(0.0)
     if sensor.quantity == "rms":
         return jnp.sqrt(jnp.mean(jnp.fft.irfft(spectrum, finer) ** 2))
     slope = 1j * np.arange(spectrum.size) * (2 * np.pi / finer) * spectrum
     wave, change = jnp.fft.irfft(jnp.stack([spectrum, slope]), finer)
-    high, low = _highest(wave, change), _highest(-wave, -change)
+    both, slopes = jnp.stack([wave, -wave]), jnp.stack([change, -change])
+    ahead = jnp.roll(both, -1, axis=1), jnp.roll(slopes, -1, axis=1)
+    high, low = jnp.max(cubic_maximum(both, slopes, *ahead), axis=1)
     if sensor.quantity == "peak":
         return jnp.maximum(high, low)
     return (high + low) / (1.0 if sensor.quantity == "peak_to_peak" else 2.0)
 
 
-def _highest(wave: Float[Array, " samples"], change: Float[Array, " samples"]):
-    return jnp.max(cubic_maximum(wave, change, jnp.roll(wave, -1), jnp.roll(change, -1)))
-
-
 def _largest_force(place: Place, motion: Complex[Array, "stops harmonics"], per_second):
-    samples = 2 * (motion.shape[-1] - 1)
-    finer = 4 * FINER * samples
-    motion = 4 * FINER * motion.at[:, -1].set(0.0)
-    slope = differentiate(motion, samples) / (4 * FINER)
-    value, change = jnp.fft.irfft(jnp.stack([motion, slope]), finer)
-    per_second = 4 * FINER * per_second
+    samples, finer = 2 * (motion.shape[-1] - 1), 4 * FINER
+    motion = finer * motion.at[:, -1].set(0.0)
+    both = jnp.stack([motion, differentiate(motion, samples) / finer])
+    value, change = jnp.fft.irfft(both, finer * samples)
     forces = [
-        stop.force(value[a], change[a] * per_second) for a, stop in enumerate(place.equations.stops)
+        stop.force(value[a], change[a] * finer * per_second)
+        for a, stop in enumerate(place.equations.stops)
     ]
     return jnp.max(jnp.stack(forces))

@@ -1,16 +1,19 @@
 """Trial rigs, many at a time: their paths, what a sensor sees of them, and their curves."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from vibrojax._tools.compiled import compiled
 from vibrojax.branches.along import check_equations
 from vibrojax.branches.tracing import free_motion
-from vibrojax.identification.nearest_point import nearest_points
+from vibrojax.ensemble.slopes import WithSlopes, systems_with_slopes, with_slopes
 from vibrojax.identification.sensor import observe
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.steady.condensed import balance, condensed_problem
 from vibrojax.steady.paths import FrequencyPath, Place
 
@@ -27,7 +30,6 @@ class Curve(NamedTuple):
     depth: np.ndarray
     continues: np.ndarray
     """Whether the next point continues this one."""
-    completed: bool
 
     def turning(self, direction: int) -> np.ndarray:
         """Whether each point is a fold at which a sweep in this direction (1 or -1) jumps."""
@@ -47,35 +49,48 @@ class Curve(NamedTuple):
         return change * forth < 0
 
 
-class Lanes(NamedTuple):
-    """Trial rigs: their paths and the derivatives of those in the numbers sought."""
+@dataclass(frozen=True)
+class Maker:
+    """What makes trial rigs: the user's function, the numbers sought and those held."""
 
-    paths: FrequencyPath
-    slopes: FrequencyPath
+    make: Callable[..., AbstractSystem]
+    names: tuple[str, ...]
+    fixed: dict[str, Any]
+    static: dict[str, Any]
 
+    def trials(
+        self, read: Callable[..., Any], how: Any, values: np.ndarray, *own: Any
+    ) -> WithSlopes:
+        """What `read(system, how, *own)` makes of the rigs with these values (lanes by names)."""
+        numbers = {n: jnp.full(len(values), v) for n, v in self.fixed.items()}
+        numbers |= dict(zip(self.names, np.asarray(values, float).T, strict=True))
+        made = systems_with_slopes(self.make, self.static, self.names, numbers)
+        return _read(read, how, *made, tuple(jnp.asarray(part) for part in own))
 
-@eqx.filter_jit
-def make_lanes(make, names, static, is_ratio, values, fixed):
-    """Paths of the rigs with these values (rigs by names), and their derivatives in them."""
-
-    def one(values, fixed):
-        def build(values):
-            system = make(**static, **fixed, **dict(zip(names, values, strict=True)))
-            equations = system.equations()
-            check_equations(system, equations)
-            unit = equations.angular_frequency[0] if is_ratio else jnp.asarray(2 * jnp.pi)
-            return FrequencyPath(equations, system.drive, unit, None)
-
-        path = build(values)
-        rows = jnp.eye(len(names))
-        slopes = jax.vmap(lambda row: eqx.filter_jvp(build, (values,), (row,))[1])(rows)
-        fill = lambda a, b: jnp.zeros((len(names), *jnp.shape(a))) if b is None else b  # noqa: E731
-        return path, jax.tree.map(fill, path, slopes)
-
-    return jax.vmap(one)(values, fixed)
+    def system(self, values: Any) -> AbstractSystem:
+        """Make one rig."""
+        return self.make(**self.static, **self.fixed, **dict(zip(self.names, values, strict=True)))
 
 
-@eqx.filter_jit
+@compiled(lightly=True)
+def _read(read, how, systems, slopes, own) -> WithSlopes:
+    def one(system, slopes, own):
+        return with_slopes(lambda system: read(system, how, *own), system, slopes)
+
+    return jax.vmap(one)(systems, slopes, own)
+
+
+def frequency_path(system: AbstractSystem, is_ratio: bool) -> FrequencyPath:
+    """Path of a rig along the drive frequency. Raises `ValueError` where it cannot be followed."""
+    equations = system.equations()
+    check_equations(system, equations)
+    linear = equations.linear_between_contacts
+    assert linear is not None  # just checked
+    unit = linear.angular_frequency[0] if is_ratio else jnp.asarray(2 * jnp.pi)
+    return FrequencyPath(linear, system.drive, unit, None)
+
+
+@compiled
 def observe_points(paths, sensor, depth, frequency):
     """Channels of a sensor for some motions, each of its own path."""
     samples = 2 * (depth.shape[-1] - 1)
@@ -85,7 +100,7 @@ def observe_points(paths, sensor, depth, frequency):
         w = place.angular_frequency
         problem = condensed_problem(place.equations, place.drive, w, samples=samples)
         at = balance(problem, depth, samples * w / (2 * jnp.pi), samples)
-        return observe(sensor, place, problem, at.force, depth, 1)
+        return observe(sensor, place, problem, at.force, depth)
 
     return jax.vmap(one)(paths, depth, frequency)
 
@@ -95,17 +110,8 @@ def gaps_of(path: FrequencyPath) -> list[Any]:
     return [stop.gap for stop in path.equations.stops]
 
 
-find_nearest = eqx.filter_jit(nearest_points)
-
-
-@eqx.filter_jit
+@compiled
 def free_and_touching(paths, frequency):
     """Motions without contact, and whether they reach a stop."""
     depth = free_motion(paths, frequency, SAMPLES, 1)
     return depth, jnp.any(jnp.fft.irfft(depth, SAMPLES) > 0, axis=(1, 2))
-
-
-def filled_up(lanes: int) -> np.ndarray:
-    """Index of the lanes, the last one repeated up to a full width: one kernel for all numbers."""
-    width = WIDTHS[-1]
-    return np.minimum(np.arange(-(-lanes // width) * width), lanes - 1)

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from vibrojax.identification.coordinates import Coordinate
 
@@ -56,28 +56,26 @@ def uncertainty(
     correlation = covariance / np.outer(scale, scale)
     # Where the minimum would be if there were no bounds, to first order.
     ahead = point - inverse @ ((jacobian.T @ residual) / unit) / unit
-    quantile = float(stats.t.ppf(0.5 + confidence / 2, degrees_of_freedom))
-    intervals, sentences, known = [], [], []
+    quantile = float(scipy.stats.t.ppf(0.5 + confidence / 2, degrees_of_freedom))
+    intervals, sentences = [], []
     for k, c in enumerate(coordinates):
         interval, sentence = _judge(
             c, point[k], ahead[k], deviation[k], quantile, confidence, bool(blind[k])
         )
-        if sentence is None:
-            tied = np.flatnonzero(np.abs(correlation[k]) > TIED)
-            others = [coordinates[j].name for j in tied if j != k]
-            if others:
-                sentence = f"identifiable only together with {', '.join(others)}"
+        tied = np.abs(correlation[k]) > TIED
+        others = [other.name for j, other in enumerate(coordinates) if tied[j] and j != k]
+        if sentence is None and others:
+            sentence = f"identifiable only together with {', '.join(others)}"
         intervals.append(interval)
-        sentences.append(sentence or "identifiable")
-        known.append(sentence is None)
+        sentences.append(sentence)
     slope = np.array([float(c.slope(u)) for c, u in zip(coordinates, point, strict=True)])
     return Uncertainty(
         interval=np.array(intervals),
         covariance=np.where(np.outer(loose, loose), np.inf, covariance),
         correlation=correlation,
         deviation=slope * deviation,
-        identifiability=tuple(sentences),
-        identifiable=tuple(known),
+        identifiability=tuple(s or "identifiable" for s in sentences),
+        identifiable=tuple(s is None for s in sentences),
     )
 
 
@@ -101,28 +99,26 @@ def _judge(
     low, high = coordinate.limits
     percent = f"{100 * confidence:g} %"
     if blind or not np.isfinite(deviation):
-        ends = (float(coordinate.low), float(coordinate.high))
         why = "the data do not depend on it" if blind else "the data know it only with others"
-        return ends, f"not identifiable: {why}"
-    at_low, at_high = point - quantile * deviation <= low, point + quantile * deviation >= high
+        return (float(coordinate.low), float(coordinate.high)), f"not identifiable: {why}"
+    reach = quantile * deviation
+    bottom, top = point - reach, point + reach
+    at_low, at_high = bottom <= low, top >= high
     if at_low or at_high:
         mean = ahead if min(point - low, high - point) < 1e-6 else point
-        cut = stats.truncnorm((low - mean) / deviation, (high - mean) / deviation, mean, deviation)
+        cut = scipy.stats.truncnorm(
+            (low - mean) / deviation, (high - mean) / deviation, mean, deviation
+        )
         bottom = low if at_low else float(cut.ppf(1 - confidence))
         top = high if at_high else float(cut.ppf(confidence))
-        ends = (float(coordinate.number(bottom)), float(coordinate.number(top)))
-        if at_low and at_high:
-            return ends, "not identifiable: the interval covers all that the bounds allow"
-        if at_low:
-            return (
-                ends,
-                f"not identifiable: the data only bound it, at most {ends[1]:.3g} ({percent})",
-            )
-        return ends, f"not identifiable: the data only bound it, at least {ends[0]:.3g} ({percent})"
-    reach = quantile * deviation
-    ends = float(coordinate.number(point - reach)), float(coordinate.number(point + reach))
-    if coordinate.kind == "log" and quantile * deviation > WIDE:
-        factor = np.exp(min(2 * quantile * deviation, 700.0))
+    ends = float(coordinate.number(bottom)), float(coordinate.number(top))
+    if at_low and at_high:
+        return ends, "not identifiable: the interval covers all that the bounds allow"
+    if at_low or at_high:
+        bound = f"at most {ends[1]:.3g}" if at_low else f"at least {ends[0]:.3g}"
+        return ends, f"not identifiable: the data only bound it, {bound} ({percent})"
+    if coordinate.kind == "log" and reach > WIDE:
+        factor = np.exp(min(2 * reach, 700.0))
         return ends, f"not identifiable: the {percent} interval covers a factor of {factor:.3g}"
     return ends, None
 

@@ -1,8 +1,17 @@
-"""Which further measurement would say most about a number."""
+"""What to measure next: the information further points hold, from the fitted curve itself."""
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+
+from vibrojax._tools.checks import check_names
+from vibrojax._tools.described import in_short
+from vibrojax.identification.curve_misfit import CurveMisfit
+from vibrojax.identification.fit import Fit
+from vibrojax.measured.curve import MeasuredCurve
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,84 @@ class WhatNext:
         return "\n".join(lines)
 
 
-def points_to_halve(information: float, variance: float) -> int:
-    """Repeats of a point after which a standard deviation is half of what it was."""
-    return int(np.ceil(3.0 / (information * variance))) if information > 0 else 10**9
+def what_next(fit: Fit, name: str, **changes: Any) -> WhatNext:
+    """See `Identification.what_next`."""
+    sought, problem = fit.place_of(name), fit.problem
+    curves = [k for k, misfit in enumerate(problem.misfits) if isinstance(misfit, CurveMisfit)]
+    if not curves:
+        raise ValueError("what_next needs a measured curve: further points are points of a curve.")
+    measured = fit.measured[curves[0]]
+    assert isinstance(measured, MeasuredCurve)
+    check_names(problem.make, changes)
+    axes = {}
+    for n, values in changes.items():
+        if n in problem.unknowns[curves[0]]:
+            raise ValueError(f"{n} is what is fitted: it cannot be chosen for a measurement.")
+        if np.ndim(values) > 1:
+            raise ValueError(f"{n} must be a number or a list of numbers, got {in_short(values)}.")
+        axes[n] = np.atleast_1d(np.asarray(values, float)).tolist()
+    noise = _noise(measured)
+    # Singular where the data know nothing yet: what is missing counts as one unit of coordinate.
+    covariance = np.where(np.isfinite(fit.covariance), fit.covariance, np.eye(len(fit.names)))
+    candidates = []
+    for row in itertools.product(*axes.values()):
+        other = dict(zip(axes, row, strict=True))
+        for frequency, amplitude, unstable, slope in _slopes(fit, curves[0], other, noise):
+            # Sherman and Morrison: one more row of the Jacobian, one channel at a time.
+            after = covariance
+            for line in slope:
+                gained = after @ line
+                after = after - np.outer(gained, gained) / (1 + line @ gained)
+            left = np.sqrt(max(after[sought, sought], 0.0) / covariance[sought, sought])
+            branch = "between folds" if unstable else "stable"
+            candidates.append(Candidate(frequency, amplitude, branch, other, float(left)))
+    reachable = [c for c in candidates if c.branch == "stable"]
+    if not reachable:
+        raise ValueError("No curve was found for what could be measured: change the ranges.")
+    reachable.sort(key=lambda c: c.deviation)
+    # Every such point adds as much information as the first.
+    gained = 1 / max(reachable[0].deviation, 1e-12) ** 2 - 1
+    return WhatNext(
+        name=name,
+        frequency_name=measured.frequency_name,
+        candidates=tuple(reachable),
+        points=int(np.ceil(3.0 / gained)) if gained > 0 else 10**9,
+    )
+
+
+def _noise(measured: MeasuredCurve) -> np.ndarray:
+    """Relative deviation of the channels, as it was in the measurement."""
+    noise, shares = measured.noise(), []
+    for channel in ("amplitude", "contact_force"):
+        values, deviation = getattr(measured, channel), getattr(noise, channel)
+        if values is not None and deviation is not None:
+            shares.append(np.median(deviation[values > 0] / values[values > 0]))
+    return np.array(shares)
+
+
+def _slopes(
+    fit: Fit, k: int, other: dict[str, float], noise: np.ndarray
+) -> Iterator[tuple[float, float, bool, np.ndarray]]:
+    """Points of the curve of a rig, and the rows they would add to the Jacobian."""
+    misfit, unknowns = fit.problem.misfits[k], list(fit.problem.unknowns[k].values())
+    assert isinstance(misfit, CurveMisfit)
+    static = {n: v for n, v in misfit.maker.static.items() if n not in other}
+    maker = replace(misfit.maker, fixed=misfit.maker.fixed | other, static=static)
+    measured: Any = fit.measured[k]
+    trial = CurveMisfit(maker, [measured])
+    trial.unit = misfit.unit
+    lanes = trial.lanes(fit.problem.of_measurement(k, fit.point[None]))
+    curve = trial.curves(lanes.made)[0]
+    if len(curve.frequency) < 2:
+        return
+    # The points of the curve take the place of the measured ones: distance 0, the same slopes.
+    trial.frequency, trial.channels = curve.frequency[None], curve.channels[None]
+    trial.deviation = np.maximum(noise * curve.channels, 1e-3 * curve.channels.max(axis=0))[None]
+    _, near = trial.nearest(lanes, [curve], np.zeros(1, int), fit.frequency_scale, False)
+    assert near is not None
+    change = fit.problem.slopes(fit.point)
+    for at in np.flatnonzero(near.found):
+        rows = np.zeros((near.derivative.shape[1], len(change)))
+        rows[:, unknowns] = near.derivative[at] * change[unknowns]
+        amplitude = float(curve.channels[at, 0])
+        yield float(curve.frequency[at]), amplitude, bool(curve.unstable[at]), rows

@@ -5,6 +5,8 @@ import os
 import reprlib
 import sys
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -43,7 +45,7 @@ from vibrojax.model.beam import Cantilever, PointMass
 from vibrojax.model.drives import AbstractDrive, BaseMotion, NoDrive, PointForce
 from vibrojax.model.impacting_beam import ImpactingBeam
 from vibrojax.model.stops import Stop
-from vibrojax.stepping.method import check_settings
+from vibrojax.sweep.settings import SweepSettings
 
 _MOST_BYTES = 10_000_000
 MOST_POINTS = 1_000_000
@@ -68,22 +70,20 @@ def read_rig(path: str | os.PathLike[str]) -> tuple[ImpactingBeam, dict[str, Any
                   may be left out where only the modes are wanted
         [model]   damping_ratio; num_modes (5), formulation ("consistent")
         [sweep]   frequency_ratio or frequency (Hz) = [start, end, points]; direction, tolerance,
-                  steps_per_period, max_period, max_periods, refine_jumps (false: do not)
+                  steps_per_period, max_period, max_periods, settle ("follow" or "march"),
+                  refine_jumps (false: do not)
         [map]     a map over numbers of the rig, for `vibrojax map` (`examples/map.toml`)
 
     Raises `ValueError`, naming the file and the key, when the file cannot be read or is not TOML,
     a table or key is unknown or missing, or a value is of the wrong kind or not possible.
-    (`frequency_sweep` itself checks max_period, max_periods and refine_jumps.)
 
     `path` is that of the TOML file.
     """
-    tables = _load(path)
-    try:
+    with _named(path):
+        tables = _load(path)
         system = _system(tables)
         _map_settings(tables)
         return system, _sweep_settings(tables)
-    except ValueError as error:
-        raise ValueError(f"Rig file {os.fspath(path)!r}: {error}") from None
 
 
 def read_map(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -92,8 +92,15 @@ def read_map(path: str | os.PathLike[str]) -> dict[str, Any]:
     Axes are lists of numbers by name, those of [map.axes] under `axes`, each [[map.zipped]] in the
     list `zipped`. Raises `ValueError` as `read_rig` does.
     """
-    try:
+    with _named(path):
         return _map_settings(_load(path))
+
+
+@contextmanager
+def _named(path: Any) -> Iterator[None]:
+    """Begin the sentence of a `ValueError` with the file."""
+    try:
+        yield
     except ValueError as error:
         if str(error).startswith("Rig file"):
             raise
@@ -126,12 +133,7 @@ def _check_keys(table: str, values: Any, label: str) -> dict[str, Any]:
         keys = keys | LAWS[law][1]
     if not isinstance(values, dict):
         raise ValueError(f"{table} must be a table that begins with {_shown(table)}.")
-    for name in values:
-        if name not in keys:
-            raise ValueError(f"unknown key {name!r} in {label}. {nearest(name, keys)}")
-    for name, key in keys.items():
-        if key.required and name not in values:
-            raise ValueError(f"{label} lacks the key {name!r}.")
+    _check_names(label, values, keys, [name for name, key in keys.items() if key.required])
     found = {name: _of_kind(keys[name].kind, f"{label} {name}", v) for name, v in values.items()}
     for name, value in found.items():
         if keys[name].kind == WHOLE:
@@ -139,30 +141,38 @@ def _check_keys(table: str, values: Any, label: str) -> dict[str, Any]:
     return found
 
 
+def _check_names(label: str, given: Any, known: Any, required: Any) -> None:
+    for name in given:
+        if name not in known:
+            raise ValueError(f"unknown key {name!r} in {label}. {nearest(name, known)}")
+    for name in required:
+        if name not in given:
+            raise ValueError(f"{label} lacks the key {name!r}.")
+
+
 def _of_kind(kind: str, label: str, value: Any) -> Any:
-    number = _is_number(value)
+    number, listed = _is_number(value), isinstance(value, list)
     if kind == NUMBER_OR_FALSE and value is False:
         return None
     if kind in (NUMBER, NUMBER_OR_FALSE) and number:
         return float(value)
-    if kind == WHOLE and number and isinstance(value, int):
-        return value
-    if kind == TEXT and isinstance(value, str):
-        return value
-    if kind == SWITCH and isinstance(value, bool):
-        return value
-    if kind in (RANGE, RANGE_OR_NUMBER) and isinstance(value, list):
+    if kind in (RANGE, RANGE_OR_NUMBER) and listed:
         return frequency_range(label, value)
     if kind == RANGE_OR_NUMBER and number:
         return one_frequency(label, float(value))
-    if kind == TEXTS and isinstance(value, list) and all(isinstance(v, str) for v in value):
-        return value
     if kind == AXES and isinstance(value, dict):
         return _axes("[map.axes]", value)
-    if kind == MASSES and isinstance(value, list):
-        return value
-    if kind == GROUPS and isinstance(value, list):
+    if kind == GROUPS and listed:
         return [_axes("[[map.zipped]]", group) for group in value]
+    as_it_is = {
+        WHOLE: number and isinstance(value, int),
+        TEXT: isinstance(value, str),
+        SWITCH: isinstance(value, bool),
+        TEXTS: isinstance(value, list) and all(isinstance(text, str) for text in value),
+        MASSES: listed,
+    }
+    if as_it_is.get(kind):
+        return value
     raise ValueError(f"{label} must be {kind}, got {_in_toml(value)}.")
 
 
@@ -194,18 +204,9 @@ def frequency_range(label: str, values: Any) -> np.ndarray:
     if len(values) != 3 or not all(_is_number(value) for value in values):
         raise ValueError(f"{label} must be three numbers, {RANGE}, got {_in_toml(list(values))}.")
     start, end, points = float(values[0]), float(values[1]), values[2]
-    check_count(f"Points of {label}", points, least=2, most=MOST_POINTS)
-    if end <= start:
-        raise ValueError(
-            f"{label} must start below its end, got start {start!r} and end {end!r}. "
-            "The backward sweep is made for you."
-        )
-    if not np.isfinite([start, end]).all():
-        raise ValueError(f"{label} must be finite, got start {start!r} and end {end!r}.")
-    check_positive(f"Start of {label}", start, "Hz" if label.endswith("frequency") else "(ratio)")
-    axis = np.linspace(start, end, points)
-    check_frequencies(label, axis, "Hz")
-    return axis
+    axis = spaced(label, start, end, points, advice="The backward sweep is made for you.")
+    one_frequency(f"Start of {label}", start)
+    return check_frequencies(label, axis, "Hz")
 
 
 def one_frequency(label: str, value: float) -> float:
@@ -215,13 +216,18 @@ def one_frequency(label: str, value: float) -> float:
 
 
 def spaced(
-    label: str, start: float, end: float, points: Any, spacing: Any = "linear"
+    label: str,
+    start: float,
+    end: float,
+    points: Any,
+    spacing: Any = "linear",
+    advice: str = "A single value is given as a list of one.",
 ) -> list[float]:
     """Return the values of an axis of a map, `spacing` "linear" or "log" (even ratios).
 
-    Raises `ValueError`, in the name of `label`, for ends that do not increase or are not finite,
-    fewer than 2 or more than 1,000,000 points, an unknown spacing, or a start of 0 or less with
-    even ratios.
+    Raises `ValueError`, in the name of `label`, for ends that do not increase (with the advice) or
+    are not finite, fewer than 2 or more than 1,000,000 points, an unknown spacing, or a start of 0
+    or less with even ratios.
     """
     check_choice(f"Spacing of {label}", spacing, SPACINGS)
     check_count(f"Points of {label}", points, least=2, most=MOST_POINTS)
@@ -229,8 +235,7 @@ def spaced(
         raise ValueError(f"{label} must be finite, got start {start!r} and end {end!r}.")
     if end <= start:
         raise ValueError(
-            f"{label} must start below its end, got start {start!r} and end {end!r}. "
-            "A single value is given as a list of one."
+            f"{label} must start below its end, got start {start!r} and end {end!r}. {advice}"
         )
     if spacing == "log" and start <= 0:
         raise ValueError(f"Start of {label} must be above 0 with log spacing, got {start!r}.")
@@ -254,12 +259,7 @@ def _values(label: str, given: Any) -> list[float]:
             f"{label} must be a list of numbers, or {{start = ..., end = ..., points = ...}}, got "
             f"{_in_toml(given)}."
         )
-    for name in given:
-        if name not in SPACED_KEYS:
-            raise ValueError(f"unknown key {name!r} in {label}. {nearest(name, SPACED_KEYS)}")
-    for name in SPACED_KEYS[:3]:
-        if name not in given:
-            raise ValueError(f"{label} lacks the key {name!r}.")
+    _check_names(label, given, SPACED_KEYS, SPACED_KEYS[:3])
     start, end = (_of_kind(NUMBER, f"{label} {name}", given[name]) for name in ("start", "end"))
     return spaced(label, start, end, given["points"], given.get("spacing", "linear"))
 
@@ -323,21 +323,21 @@ def _system(tables: dict[str, Any]) -> ImpactingBeam:
     return _within("[model]", ImpactingBeam, beam=beam, stops=stops, drive=drive, **model)
 
 
-def _sweep_settings(tables: dict[str, Any]) -> dict[str, Any]:
-    settings = _check_keys("sweep", tables.get("sweep", {}), "[sweep]")
+def _settings(tables: dict[str, Any], table: str) -> dict[str, Any]:
+    settings = _check_keys(table, tables.get(table, {}), f"[{table}]")
     if "frequency" in settings and "frequency_ratio" in settings:
-        raise ValueError("[sweep] has frequency and frequency_ratio: give one of the two.")
-    if "direction" in settings:
-        _within("[sweep]", check_choice, "direction", settings["direction"], tuple(DIRECTIONS))
-    tolerance = settings.get("tolerance", 1e-4)
-    _within("[sweep]", check_settings, tolerance, settings.get("steps_per_period"))
+        raise ValueError(f"[{table}] has frequency and frequency_ratio: give one of the two.")
     return settings
 
 
+def _sweep_settings(tables: dict[str, Any]) -> dict[str, Any]:
+    settings = _settings(tables, "sweep")
+    keywords = {n: settings.pop(n) for n in ("frequency", "frequency_ratio") if n in settings}
+    return keywords | {"settings": _within("[sweep]", SweepSettings, **settings)}
+
+
 def _map_settings(tables: dict[str, Any]) -> dict[str, Any]:
-    settings = _check_keys("map", tables.get("map", {}), "[map]")
-    if "frequency" in settings and "frequency_ratio" in settings:
-        raise ValueError("[map] has frequency and frequency_ratio: give one of the two.")
+    settings = _settings(tables, "map")
     response = settings.get("response", "sweep")
     _within("[map]", check_choice, "response", response, KINDS_OF_RESPONSE)
     if "direction" in settings:

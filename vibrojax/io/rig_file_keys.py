@@ -27,24 +27,21 @@ MASSES = "one or more tables [[beam.point_masses]]"
 
 MOST_MODES = 1000
 
+
+def _keys(kind: str, names: str, required: bool = False) -> dict[str, Key]:
+    """Return several keys of one kind, their names between spaces."""
+    return {name: Key(kind, required) for name in names.split()}
+
+
 KEYS = {
     "beam": {
-        "length": Key(NUMBER, True),
-        "width": Key(NUMBER, True),
-        "thickness": Key(NUMBER, True),
-        "youngs_modulus": Key(NUMBER, True),
-        "density": Key(NUMBER, True),
-        "taper": Key(NUMBER),
-        "mass_ratio": Key(NUMBER),
+        **_keys(NUMBER, "length width thickness youngs_modulus density", required=True),
+        **_keys(NUMBER, "taper mass_ratio"),
         "point_masses": Key(MASSES),
     },
-    "beam.point_masses": {
-        "mass": Key(NUMBER, True),
-        "position": Key(NUMBER),
-    },
+    "beam.point_masses": _keys(NUMBER, "mass", required=True) | _keys(NUMBER, "position"),
     "stop": {
-        "position": Key(NUMBER, True),
-        "gap": Key(NUMBER, True),
+        **_keys(NUMBER, "position gap", required=True),
         "side": Key(WHOLE),
         "smoothing": Key(NUMBER),
         "law": Key(TEXT),
@@ -60,20 +57,17 @@ KEYS = {
         "formulation": Key(TEXT),
     },
     "sweep": {
-        "frequency_ratio": Key(RANGE),
-        "frequency": Key(RANGE),
+        **_keys(RANGE, "frequency_ratio frequency"),
         "direction": Key(TEXT),
         "tolerance": Key(NUMBER),
-        "steps_per_period": Key(WHOLE),
-        "max_period": Key(WHOLE),
-        "max_periods": Key(WHOLE),
+        **_keys(WHOLE, "steps_per_period max_period max_periods"),
+        "settle": Key(TEXT),
         "refine_jumps": Key(NUMBER_OR_FALSE),
     },
 }
 MAP_KEYS = {
     "response": Key(TEXT),
-    "frequency_ratio": Key(RANGE_OR_NUMBER),
-    "frequency": Key(RANGE_OR_NUMBER),
+    **_keys(RANGE_OR_NUMBER, "frequency_ratio frequency"),
     "direction": Key(TEXT),
     "tolerance": Key(NUMBER),
     "measures": Key(TEXTS),
@@ -83,27 +77,17 @@ MAP_KEYS = {
     "zipped": Key(GROUPS),
 }
 """Keys of [map], which `examples/map.toml` explains."""
+_STIFFNESS = _keys(NUMBER, "stiffness", required=True)
 LAWS = {
     "kelvin_voigt": (
         KelvinVoigt,
-        {"stiffness": Key(NUMBER, True), "damping": Key(NUMBER), "tension": Key(SWITCH)},
+        _STIFFNESS | _keys(NUMBER, "damping") | _keys(SWITCH, "tension"),
     ),
-    "hertz": (Hertz, {"stiffness": Key(NUMBER, True), "exponent": Key(NUMBER)}),
-    "hunt_crossley": (
-        HuntCrossley,
-        {
-            "stiffness": Key(NUMBER, True),
-            "dissipation": Key(NUMBER),
-            "exponent": Key(NUMBER),
-        },
-    ),
+    "hertz": (Hertz, _STIFFNESS | _keys(NUMBER, "exponent")),
+    "hunt_crossley": (HuntCrossley, _STIFFNESS | _keys(NUMBER, "dissipation exponent")),
     "standard_linear_solid": (
         StandardLinearSolid,
-        {
-            "stiffness": Key(NUMBER, True),
-            "maxwell_stiffness": Key(NUMBER, True),
-            "relaxation_time": Key(NUMBER, True),
-        },
+        _STIFFNESS | _keys(NUMBER, "maxwell_stiffness relaxation_time", required=True),
     ),
 }
 """Contact laws by their name in a rig file, each with the keys it adds to [[stop]]."""

@@ -29,10 +29,8 @@ class Block(NamedTuple):
     @property
     def inside(self) -> np.ndarray:
         """Which of the lanes that are computed belong to the grid."""
-        kept = [np.arange(len(i)) < n for i, n in zip(self.indices, self.shape, strict=True)]
-        grid = np.ones((), bool)
-        for one in kept:
-            grid = np.logical_and.outer(grid, one)
+        grid = np.zeros([len(i) for i in self.indices], bool)
+        grid[tuple(map(slice, self.shape))] = True
         return grid.ravel()
 
 
@@ -62,14 +60,11 @@ class Chunks(NamedTuple):
     def at(self, number: int) -> Block:
         """Return a block by its number."""
         where = np.unravel_index(number, self.counts) if self.counts else ()
-        parts = []
+        region, indices = [], []
         for k, b, n in zip(where, self.block, self.shape, strict=True):
-            parts.append(slice(int(k) * b, min((int(k) + 1) * b, n)))
-        index = tuple(
-            np.minimum(np.arange(part.start, part.start + b), n - 1)
-            for part, b, n in zip(parts, self.block, self.shape, strict=True)
-        )
-        return Block(number, tuple(parts), index)
+            region.append(slice(int(k) * b, min((int(k) + 1) * b, n)))
+            indices.append(np.minimum(np.arange(b) + int(k) * b, n - 1))
+        return Block(number, tuple(region), tuple(indices))
 
 
 def cut(shape: tuple[int, ...], single: tuple[bool, ...], lanes: int) -> Chunks:
@@ -77,30 +72,22 @@ def cut(shape: tuple[int, ...], single: tuple[bool, ...], lanes: int) -> Chunks:
 
     Along dimensions that are `single` a block has length 1.
     """
-    block = [1] * len(shape)
-    room = max(1, lanes)
+    block, room = [1] * len(shape), max(1, lanes)
     for k in reversed(range(len(shape))):
-        if single[k]:
-            continue
-        block[k] = _even(shape[k], min(room, shape[k]))
-        room //= block[k]
-        if room < 2:
-            break
+        if not single[k] and room > 1:
+            # Of the lengths that cover the axis, the one with the least computed twice.
+            size, fewest = shape[k], -(-shape[k] // room)
+            lengths = {-(-size // parts) for parts in range(fewest, 2 * fewest + 1)}
+            block[k] = min(lengths, key=lambda one, n=size: (-(-n // one) * one - n, -one))
+            room //= block[k]
     return Chunks(shape, tuple(block))
-
-
-def _even(size: int, most: int) -> int:
-    """Return the length of blocks that cover an axis with the least computed twice."""
-    fewest = -(-size // most)
-    lengths = [-(-size // parts) for parts in range(fewest, 2 * fewest + 1)]
-    return min(lengths, key=lambda length: (-(-size // length) * length - size, -length))
 
 
 def spread_out(shape: tuple[int, ...], lanes: int) -> list[tuple[int, ...]]:
     """Return up to so many combinations, spread evenly over a grid."""
-    total = int(np.prod(shape, dtype=object))
-    if total <= lanes:
+    if np.prod(shape, dtype=object) <= lanes:
         return list(itertools.product(*map(range, shape)))
-    # Steps of the golden ratio visit all parts of every dimension.
-    numbers = sorted({int((k * 0.6180339887498949) % 1.0 * total) for k in range(lanes)})
-    return [tuple(int(i) for i in np.unravel_index(n, shape)) for n in numbers]
+    from scipy.stats.qmc import Halton
+
+    places = Halton(len(shape), scramble=False).random(lanes)
+    return sorted({tuple(map(int, place)) for place in places * np.array(shape)})

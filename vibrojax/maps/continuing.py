@@ -18,8 +18,8 @@ from vibrojax._tools.interrupts import stoppable
 from vibrojax.maps import settings as known
 from vibrojax.maps import store as stores
 from vibrojax.maps.lock import held
-from vibrojax.maps.records import OWN, Condition, Records
 from vibrojax.maps.rig_maker import NO_RIGS, RigMaker
+from vibrojax.maps.store import COPY, OWN, Condition, MapStore
 from vibrojax.maps.store_files import (
     READ_ONLY,
     disk_errors_named,
@@ -30,7 +30,7 @@ from vibrojax.maps.store_files import (
 from vibrojax.maps.template import Template
 from vibrojax.maps.work import MapSpec
 
-COPY, LOCK = f"{OWN}/{stores.COPY}", f"{OWN}/lock"
+LOCK = f"{OWN}/lock"
 READERS = 8
 """Threads that read a store to check it."""
 NAMED = 5
@@ -42,7 +42,7 @@ class Ready(NamedTuple):
 
     spec: MapSpec
     settings: dict[str, Any]
-    store: stores.MapStore | None
+    store: MapStore | None
     """None where the map is complete and sound: nothing is written."""
     left: list[int]
     """Chunks to compute."""
@@ -58,19 +58,9 @@ def same_map(
     `asked` are the lanes of a chunk that were asked for. Raises `ValueError` for a store of other
     settings.
     """
-    made = known.settings_in(path, found)
+    made, block = known.settings_in(path, found)
     settings = known.with_changing(settings, made)
-    try:
-        known.check_same(path, made, settings)
-    except ValueError as error:
-        copy = stores.attributes_in(Path(path) / COPY) or {}
-        if copy.get("vibrojax_map") != json.dumps(settings):
-            raise
-        raise ValueError(
-            f"{error} (Or its zarr.json is damaged: the copy {COPY!r} in it has the settings of "
-            "this call. Remove zarr.json, and the same call restores it.)"
-        ) from None
-    block = stores.block_of(Path(path), spec.chunks)
+    known.check_same(path, made, settings)
     if asked is not None and block != spec.chunks.block:
         raise ValueError(
             f"chunk_lanes = {asked} makes chunks of shape {spec.chunks.block}, but the store has "
@@ -169,12 +159,12 @@ def _checked(
 
     Raises `ValueError` where the rigs of all its chunks are others.
     """
-    records = Records(place, spec)
+    store = MapStore(str(place), spec)
     with ThreadPoolExecutor(READERS) as pool:
-        conditions = list(pool.map(records.condition, range(spec.chunks.number)))
+        conditions = list(pool.map(store.condition, range(spec.chunks.number)))
     other = _of_other_rigs(conditions, spec, maker)
     if len(other) == sum(c.is_whole for c in conditions):
-        made = known.settings_in(place, found)
+        made, _ = known.settings_in(place, found)
         for name in known.RIGS:
             known.check_one(place, name, made, settings)
     damaged = {c.number: c.damage for c in conditions if c.damage}
@@ -187,7 +177,7 @@ def _checked(
     return Findings(left, damaged, other, wrong, root, reference)
 
 
-def _mended(place: Path, spec: MapSpec, findings: Findings) -> stores.MapStore:
+def _mended(place: Path, spec: MapSpec, findings: Findings) -> MapStore:
     """Write again what a call knows, and remove the chunks that are not what they should be."""
     with disk_errors_named():
         _tidy(place)
@@ -195,13 +185,11 @@ def _mended(place: Path, spec: MapSpec, findings: Findings) -> stores.MapStore:
             _put_back(place, name, findings.reference, name in spec.template.coordinates)
         if findings.root.is_other:
             _put_root(place, findings.root, findings.reference)
-    store = stores.open_map(str(place), spec)
+    store = MapStore(str(place), spec)
     if findings.left:
         store.begin()
-        records = Records(place, spec)
-        with disk_errors_named():
-            for number in (*findings.damaged, *findings.other):
-                records.clear(number)
+        for number in (*findings.damaged, *findings.other):
+            store.clear(number)
     return store
 
 
@@ -278,31 +266,21 @@ class _Root(NamedTuple):
 def _root(place: Path, attributes: dict[str, Any], reference: dict[str, bytes]) -> _Root:
     """Compare the attributes of a store, their copy and the call's."""
     whole = stores.attributes_in(place / "zarr.json") or {}
-    copy = stores.attributes_in(place / COPY)
-    meant = json.loads(reference["zarr.json"])
+    meant, copy = json.loads(reference["zarr.json"]), stores.copy_in(place)
     found = whole.get("attributes")
     found = found if isinstance(found, dict) else {}
     own = {n: found[n] for n in attributes if n in found}
     others = {n: value for n, value in found.items() if n not in own}
-    damaged = []
     # Written together: one alone means that the key of the other looks like one of the user's.
     renamed = len(others.keys() & set(stores.NOTES)) == 1
-    if whole | {"attributes": {}} != meant | {"attributes": {}} or renamed:
-        damaged.append("zarr.json")
-    elif own != copy:
-        damaged.append("zarr.json" if copy == attributes else COPY)
-    if copy is None and damaged == ["zarr.json"]:
-        damaged.append(COPY)
-    return _Root(
-        bool(damaged) or own != attributes,
-        damaged,
-        {n: v for n, v in others.items() if "zarr.json" not in damaged},
-    )
+    other = whole | {"attributes": {}} != meant | {"attributes": {}} or own != (copy or own)
+    damaged = ["zarr.json"] * (renamed or other) + [COPY] * (copy is None)
+    return _Root(bool(damaged) or own != attributes, damaged, {} if renamed or other else others)
 
 
 def _put_root(place: Path, root: _Root, reference: dict[str, bytes]) -> None:
     whole = json.loads(reference["zarr.json"])
-    write_file(place / COPY, json.dumps(whole["attributes"]).encode())
+    write_file(place / COPY, stores.copy_of(whole["attributes"]))
     whole["attributes"] |= root.others
     if (place / "zarr.json").is_dir():
         remove(place / "zarr.json")

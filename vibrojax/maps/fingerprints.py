@@ -17,7 +17,7 @@ import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -62,18 +62,13 @@ def identity_of(function: Callable[..., Any]) -> Identity:
         return Identity(f"a {kind}", {}, (f"what this {kind} holds",))
     for name, value in parts:
         try:
-            reads[name] = _short(reader.text(value))
+            text = reader.text(value)
+            long = len(text) > LONGEST
+            reads[name] = f"{text[:LONGEST]}... {digest(text)}" if long else text
         except Exception:  # objects of others may do anything when they are looked at
             reads[name] = f"<a {type(value).__name__} that cannot be read>"
             unknown.append(f"{name} (a {type(value).__name__})")
     return Identity(source, reads, tuple(unknown))
-
-
-def _short(text: str) -> str:
-    """Return a text, or its beginning and a digest of it where it is long."""
-    if len(text) <= LONGEST:
-        return text
-    return f"{text[:LONGEST]}... {digest(text)}"
 
 
 def value_digest(value: Any) -> str:
@@ -91,10 +86,9 @@ def source_of(function: Callable[..., Any]) -> str:
     try:
         return inspect.getsource(function).strip()
     except (OSError, TypeError):
+        kind = type(function)
         code = getattr(function, "__code__", None)
-        if code is None:
-            return f"{type(function).__module__}.{type(function).__qualname__}"
-        return _code_text(code)
+        return f"{kind.__module__}.{kind.__qualname__}" if code is None else _code_text(code)
 
 
 @functools.lru_cache(1024)
@@ -104,19 +98,15 @@ def _code_source(code: CodeType) -> str:
         source = inspect.getsource(code)
     except (OSError, TypeError):
         return _code_text(code)
-    trees = list(_parsed(textwrap.dedent(source).strip()))
-    if code.co_name != "<lambda>":
-        return ast.unparse(trees[0]) if trees else source.strip()
-    # Its lines have more on them, perhaps another one.
-    own = [n for tree in trees[:1] for n in ast.walk(tree) if isinstance(n, ast.Lambda)]
-    return f"{ast.unparse(own[0]) if len(own) == 1 else 'lambda'} {_code_text(code)}"
-
-
-def _parsed(source: str) -> Iterator[ast.AST]:
-    """A text as Python: as it is, or as arguments of a call."""
-    for text in (source, f"f({source})"):
+    tree = None
+    for text in (textwrap.dedent(source).strip(), f"f({source.strip()})"):  # or an argument
         with suppress(SyntaxError):
-            yield ast.parse(text)
+            tree = tree or ast.parse(text)
+    if code.co_name != "<lambda>":
+        return ast.unparse(tree) if tree else source.strip()
+    # Its lines have more on them, perhaps another one.
+    own = [n for n in (ast.walk(tree) if tree else ()) if isinstance(n, ast.Lambda)]
+    return f"{ast.unparse(own[0]) if len(own) == 1 else 'lambda'} {_code_text(code)}"
 
 
 def _code_text(code: CodeType) -> str:
@@ -125,17 +115,12 @@ def _code_text(code: CodeType) -> str:
     return f"<code {digest(text)}>"
 
 
-class _Names(NamedTuple):
-    """Names in the code of a function and of those inside it."""
-
-    globals: tuple[str, ...]
-    modules: tuple[tuple[int, str], ...]
-    """What is imported there: how far up from its own package (0: from the top), and the name."""
-    attributes: tuple[str, ...]
-
-
 @functools.lru_cache(1024)
-def _names(code: CodeType) -> _Names:
+def _names(code: CodeType) -> dict[str, tuple[Any, ...]]:
+    """Names in the code of a function and of those inside it: `globals`, `attributes`, `modules`.
+
+    What is imported there has two: how far up from its own package (0: from the top), and a name.
+    """
     found: dict[str, list[Any]] = {"globals": [], "modules": [], "attributes": []}
     steps = list(dis.get_instructions(code))
     for k, step in enumerate(steps):
@@ -145,30 +130,28 @@ def _names(code: CodeType) -> _Names:
             found["modules"].append((steps[k - 2].argval, step.argval))
         elif step.opname in ("LOAD_ATTR", "LOAD_METHOD", "IMPORT_FROM"):
             found["attributes"].append(step.argval)
-    for inner in code.co_consts:
-        if isinstance(inner, CodeType):
-            for kind, names in _names(inner)._asdict().items():
-                found[kind] += names
-    return _Names(**{kind: tuple(dict.fromkeys(names)) for kind, names in found.items()})
+    for inner in filter(lambda part: isinstance(part, CodeType), code.co_consts):
+        for kind, names in _names(inner).items():
+            found[kind] += names
+    return {kind: tuple(dict.fromkeys(names)) for kind, names in found.items()}
 
 
-@functools.cache
-def _libraries() -> tuple[Path, ...]:
-    """Folders of what is installed, and of this package."""
-    own = Path(__file__).resolve().parents[1]
-    places = (sysconfig.get_path(k) for k in ("stdlib", "platstdlib", "purelib", "platlib"))
-    return (own, *(Path(place).resolve() for place in places))
+_LIBRARIES = [
+    Path(__file__).resolve().parents[1],
+    *(
+        Path(sysconfig.get_path(k)).resolve()
+        for k in ("stdlib", "platstdlib", "purelib", "platlib")
+    ),
+]
+"""Folders of what is installed, and of this package."""
 
 
 @functools.cache
 def _is_library(file: str | None) -> bool:
     """Whether a file of code belongs to a library; what has no file is the user's."""
-    if file is None:
-        return False
-    if file.startswith("<"):
-        return file.startswith("<frozen")
-    place = Path(file).resolve()
-    return any(folder in place.parents for folder in _libraries())
+    if file is None or file.startswith("<"):
+        return (file or "").startswith("<frozen")
+    return any(folder in Path(file).resolve().parents for folder in _LIBRARIES)
 
 
 def _library_of(module: str | None) -> str | None:
@@ -241,17 +224,11 @@ class _Reader:
 
     def opened(self, value: Any) -> tuple[str, list[tuple[str, Any]]]:
         """Return what a value is, in words, and what it holds by name. Raises `Unreadable`."""
-        wrapped = getattr(value, "__wrapped__", None)
         if isinstance(value, FunctionType):
             return self._function(value)
-        if isinstance(value, MethodType):
-            return "method", [("function", value.__func__), ("object", value.__self__)]
-        if isinstance(value, BuiltinFunctionType):
-            own = value.__self__
-            held = [] if own is None or isinstance(own, ModuleType) else [("object", own)]
-            return f"{value.__module__}.{value.__qualname__}", held
         if isinstance(value, type):
             return self._class(value)
+        wrapped = getattr(value, "__wrapped__", None)
         if callable(wrapped):  # compiled by JAX, or cached
             return type(value).__name__, [("function", wrapped)]
         return self._object(value)
@@ -296,7 +273,7 @@ class _Reader:
         except Exception:
             raise Unreadable from None
         if isinstance(reduced, str):
-            return f"{type(value).__module__}.{reduced}", []
+            return f"{getattr(value, '__module__', type(value).__module__)}.{reduced}", []
         make, given, *more = reduced
         parts: list[tuple[str, Any]] = [("class", type(value)), ("made by", make)]
         parts += [(f"argument {k}", own) for k, own in enumerate(given) if own is not type(value)]
@@ -311,15 +288,13 @@ class _Reader:
 
 def _read_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
     """What a function reads beside its arguments, by name."""
-    names = _names(function.__code__)
-    found = {n: function.__globals__[n] for n in names.globals if n in function.__globals__}
-    package = function.__globals__.get("__package__")
-    for level, name in names.modules:
-        try:
-            found[name] = importlib.import_module("." * level + name, package)
-        except Exception:  # the function itself will say so when it is called
-            found[name] = None
-    yield from _with_modules(found, names.attributes, ())
+    names, known = _names(function.__code__), function.__globals__
+    found = {name: known[name] for name in names["globals"] if name in known}
+    for level, name in names["modules"]:
+        found[name] = None
+        with suppress(Exception):  # the function itself will say so when it is called
+            found[name] = importlib.import_module("." * level + name, known.get("__package__"))
+    yield from _with_modules(found, names["attributes"], ())
 
 
 def _with_modules(

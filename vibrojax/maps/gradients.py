@@ -11,18 +11,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from vibrojax._tools.compiled import compiled
 from vibrojax.branches.folds import Fold, fold_response
 from vibrojax.branches.special_points import touch_near
+from vibrojax.ensemble.slopes import systems_with_slopes, with_slopes
 from vibrojax.maps.measures import STEPWISE, Curve, Measure
 from vibrojax.maps.responses import Computed, Grid
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.template import DIFFERENTIATED
-from vibrojax.model.systems import as_arrays
-from vibrojax.steady.batches import in_batches
+from vibrojax.steady.batches import in_batches, take_rigs
 from vibrojax.steady.paths import frequency_path
-from vibrojax.stepping.method import AbstractMethod
-from vibrojax.sweep.lane_pool import take_rigs
+from vibrojax.stepping.stepper import AbstractStepper
 from vibrojax.sweep.swept_lanes import Prepared, Rigs, prepare, ratios_of
 
 FOLD_WIDTH = 16
@@ -34,36 +35,19 @@ Slopes = dict[str, dict[str, np.ndarray]]
 """By the name of the number, then by variable."""
 
 
-@eqx.filter_jit
-def _prepared(make, static, names, numbers, method) -> tuple[Prepared, Any]:
-    """Rigs made ready, and the derivatives of that in each of the named numbers (leading axis)."""
+@compiled
+def _prepared(systems, slopes, stepper) -> tuple[Prepared, Any]:
+    """Rigs made ready, and the derivatives of that in each of the numbers (leading axis)."""
 
-    def ready(numbers):
-        def one(own):
-            system = as_arrays(make(**static, **own))
-            return Rigs(system.equations(), system.drive)
+    def ready(systems):
+        return prepare(stepper, jax.vmap(lambda s: Rigs(s.equations(), s.drive))(systems))
 
-        return prepare(method, jax.vmap(one)(numbers))
-
-    def slope(name):
-        change = {n: jnp.full_like(v, float(n == name)) for n, v in numbers.items()}
-        return eqx.filter_jvp(ready, (numbers,), (change,))[1]
-
-    found = ready(numbers)
-    wanted = eqx.filter(found, eqx.is_inexact_array)
-    slopes = [
-        jax.tree.map(
-            lambda a, b: jnp.zeros_like(a) if b is None and a is not None else b,
-            wanted,
-            eqx.filter(slope(name), eqx.is_inexact_array),
-            is_leaf=lambda a: a is None,
-        )
-        for name in names
-    ]
-    return found, jax.tree.map(lambda *a: jnp.stack(a), *slopes)
+    made, slopes = with_slopes(ready, systems, jax.tree.map(lambda a: a.swapaxes(0, 1), slopes))
+    smooth = jax.tree.map(lambda a, b: b if eqx.is_inexact_array(a) else None, made, slopes)
+    return made, smooth
 
 
-@eqx.filter_jit
+@compiled
 def _point_slopes(prepared, slopes, rigs, value, is_ratio, state, period):
     """Derivatives (points, numbers) of the variables at some points."""
     numbers, rest = eqx.partition(take_rigs(prepared, rigs), eqx.is_inexact_array)
@@ -96,12 +80,13 @@ def curve_slopes(
     index: tuple[np.ndarray, ...],
     names: tuple[str, ...],
     grid: Grid,
-    method: AbstractMethod,
+    stepper: AbstractStepper,
     computed: Computed,
 ) -> Slopes:
     """Differentiate all curves of a block; NaN where there is no steady state."""
     static, numbers = maker.lane_numbers(index, names)
-    prepared, slopes = _prepared(maker.make, static, names, numbers, method)
+    systems = systems_with_slopes(maker.make, static, names, numbers)
+    prepared, slopes = _prepared(*systems, stepper)
     period = computed.points.period
     rig, *_, column = np.nonzero(period > 0)
     states = computed.points.states[period > 0]
@@ -124,11 +109,12 @@ def curve_slopes(
     return found
 
 
-@eqx.filter_jit
-def _fold_slopes(make, static, names, numbers, near, free, axis):
-    def one(numbers, near, free):
-        def place(moved):
-            system = as_arrays(make(**static, **(numbers | moved)))
+@compiled
+def _fold_slopes(systems, slopes, near, free, axis) -> Array:
+    """Derivatives (folds, numbers) of the frequencies of folds, or of touches where `free`."""
+
+    def one(system, slopes, near, free):
+        def place(system):
             fold = fold_response(system, near, axis=axis).parameter
             path = frequency_path(system, axis == "frequency_ratio", False)
             touch = touch_near(path, jnp.asarray(near.parameter))
@@ -136,12 +122,12 @@ def _fold_slopes(make, static, names, numbers, near, free, axis):
             value = jnp.where(free, touch, fold)
             # What was found is another fold, or none, where it lies elsewhere.
             same = jnp.abs(value / near.parameter - 1) < SAME
-            return jnp.where(same, value, jnp.nan), same
+            return jnp.where(same, value, jnp.nan)
 
-        slopes, same = jax.jacfwd(place, has_aux=True)({n: numbers[n] for n in names})
-        return {n: jnp.where(same, slope, jnp.nan) for n, slope in slopes.items()}
+        found = with_slopes(place, system, slopes)
+        return jnp.where(jnp.isfinite(found.made), found.slopes, jnp.nan)
 
-    return jax.vmap(one)(numbers, near, free)
+    return jax.vmap(one)(systems, slopes, near, free)
 
 
 def fold_slopes(
@@ -153,7 +139,7 @@ def fold_slopes(
 ) -> Slopes:
     """Differentiate jumps and folds; NaN where there is none or its fold was not found."""
     static, numbers = maker.lane_numbers(index, names)
-    numbers = {n: np.asarray(v) for n, v in numbers.items()}
+    systems = jax.device_get(systems_with_slopes(maker.make, static, names, numbers))
     found: Slopes = {name: {} for name in names}
     for variable, (states, free) in computed.folds.items():
         value = computed.numbers[variable]
@@ -164,19 +150,19 @@ def fold_slopes(
         def at_folds(i, lane=lane, place=place, start=start, begins=begins):
             zero, known = jnp.zeros(len(i)), jnp.ones(len(i), bool)
             near = Fold(jnp.asarray(place[i]), zero, zero, jnp.asarray(start[i]), known)
-            own = {n: v[lane[i]] for n, v in numbers.items()}
-            return _fold_slopes(maker.make, static, names, own, near, begins[i], axis)
+            own = jax.tree.map(lambda a: a[lane[i]], systems)
+            return _fold_slopes(own.made, own.slopes, near, begins[i], axis)
 
-        at = in_batches(at_folds, len(lane), FOLD_WIDTH) if len(lane) else {}
-        for name in names:
+        at = in_batches(at_folds, len(lane), FOLD_WIDTH) if len(lane) else None
+        for k, name in enumerate(names):
             slope = np.full(value.shape, np.nan)
-            if at:
-                slope[there] = at[name]
+            if at is not None:
+                slope[there] = at[:, k]
             found[name][variable] = slope
     return found
 
 
-@eqx.filter_jit
+@compiled
 def _measure_slopes(function, curves, shared, changes):
     def one(curve, change):
         kept = {n: v for n, v in curve.items() if n not in change}

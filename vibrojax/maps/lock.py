@@ -10,7 +10,7 @@ import os
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +56,10 @@ def _taken(file: Path, store: str) -> int:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             _lock(descriptor, file, store)
-            if _is_still(file, descriptor):
-                return descriptor
+            # Its last owner may have removed the file at this path.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.stat(file), os.fstat(descriptor)):
+                    return descriptor
         except BaseException:
             os.close(descriptor)
             raise
@@ -78,24 +80,14 @@ def _lock(descriptor: int, file: Path, store: str) -> None:
         raise _in_use(store, owner, f". If it has ended, remove {str(file)!r}")
 
 
-def _is_still(file: Path, descriptor: int) -> bool:
-    """Whether an open file is the one at its path: its last owner may have removed it."""
-    try:
-        return os.path.samestat(os.stat(file), os.fstat(descriptor))
-    except FileNotFoundError:
-        return False
-
-
 def _owner(file: Path, wait: float = 0.0) -> dict[str, Any]:
     """What the file of a lock says of who has it; nothing where that is not written in time (s)."""
     until = time.monotonic() + wait
     while True:
-        try:
+        with suppress(OSError, ValueError):
             found = json.loads(file.read_text())
-        except (OSError, ValueError):
-            found = None
-        if isinstance(found, dict):
-            return found
+            if isinstance(found, dict):
+                return found
         if time.monotonic() >= until:
             return {}
         time.sleep(0.02)
@@ -103,14 +95,13 @@ def _owner(file: Path, wait: float = 0.0) -> dict[str, Any]:
 
 def _is_dead(owner: dict[str, Any]) -> bool:
     """Whether the owner is known to have ended: a process of this host that is not there."""
-    if fcntl is None or owner.get("host") != socket.gethostname():
-        return False
-    try:
-        os.kill(int(owner["process"]), 0)
-    except ProcessLookupError:
-        return True
-    except (PermissionError, KeyError, ValueError, TypeError):
-        return False
+    if fcntl is not None and owner.get("host") == socket.gethostname():
+        try:
+            os.kill(int(owner["process"]), 0)
+        except ProcessLookupError:
+            return True
+        except (PermissionError, KeyError, ValueError, TypeError):
+            pass
     return False
 
 

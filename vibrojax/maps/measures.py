@@ -1,6 +1,8 @@
 """Measures of a curve: peak, jumps, hysteresis, forces, or whatever the user asks."""
 
 from collections.abc import Callable, Mapping, Sequence
+from enum import Enum
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
@@ -8,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax._tools.checks import nearest
+from vibrojax._tools.compiled import compiled
 from vibrojax.regime.kinds import Regime
 from vibrojax.results.status import Status
 
@@ -36,24 +39,12 @@ class Measure(NamedTuple):
     """Whether it is vibrojax's own, which JAX can trace."""
 
 
-def _peak_amplitude_ratio(curve: Curve) -> Any:
-    return jnp.nanmax(curve["amplitude_ratio"])
-
-
-def _largest_contact_force(curve: Curve) -> Any:
-    return jnp.nanmax(curve["contact_force"])
-
-
 def _peak_frequency(curve: Curve) -> Any:
     amplitude = curve["amplitude_ratio"]
     amplitude = amplitude.reshape(-1, amplitude.shape[-1])
     highest = jnp.max(jnp.where(jnp.isnan(amplitude), -jnp.inf, amplitude), axis=0)
     at = curve["frequencies"][jnp.argmax(highest)]
     return jnp.where(jnp.isfinite(highest).any(), at, jnp.nan)
-
-
-def _resonance_shift(curve: Curve) -> Any:
-    return _peak_frequency(curve) / curve["unit_frequency"] - 1.0
 
 
 def _hysteresis_width(curve: Curve) -> Any:
@@ -64,70 +55,45 @@ def _hysteresis_width(curve: Curve) -> Any:
     return jnp.where(jnp.isnan(width), 0.0, width)
 
 
-def _hysteresis_area(curve: Curve) -> Any:
-    forward, backward = curve["amplitude_ratio"]
-    return jnp.trapezoid(jnp.abs(forward - backward), curve["frequencies"])
-
-
-def _aperiodic_fraction(curve: Curve) -> Any:
-    return jnp.mean(curve["status"] == Status.aperiodic.value)
-
-
-def _fraction(kind: Regime) -> Callable[[Curve], Any]:
-    return lambda curve: jnp.mean(curve["regime"] == kind.value)
-
-
 def _largest(name: str) -> Callable[[Curve], Any]:
     return lambda curve: jnp.nanmax(curve[name])
 
 
-def _most_attractors(curve: Curve) -> Any:
-    return jnp.max(curve["attractors"])
+def _area(curve: Curve) -> Any:
+    forward, backward = curve["amplitude_ratio"]
+    return jnp.trapezoid(jnp.abs(forward - backward), curve["frequencies"])
 
 
-def _least_periodic_share(curve: Curve) -> Any:
-    return jnp.min(curve["periodic_share"])
+def _share(variable: str, kind: Enum) -> Callable[[Curve], Any]:
+    return lambda curve: jnp.mean(curve[variable] == kind.value)
 
 
-def _given(name: str) -> Callable[[Curve], Any]:
-    return lambda curve: curve[name]
-
-
-FUNCTIONS: dict[str, Callable[[Curve], Any]] = {
-    "peak_amplitude_ratio": _peak_amplitude_ratio,
+STEPWISE_FUNCTIONS: dict[str, Callable[[Curve], Any]] = {
     "peak_frequency": _peak_frequency,
-    "resonance_shift": _resonance_shift,
-    "largest_contact_force": _largest_contact_force,
-    "chaotic_fraction": _fraction(Regime.chaotic),
-    "periodic_fraction": _fraction(Regime.periodic),
+    "resonance_shift": lambda curve: _peak_frequency(curve) / curve["unit_frequency"] - 1.0,
+    "aperiodic_fraction": _share("status", Status.aperiodic),
+    "grazing": itemgetter("grazing"),
+    "chaotic_fraction": _share("regime", Regime.chaotic),
+    "periodic_fraction": _share("regime", Regime.periodic),
     "largest_lyapunov_exponent": _largest("lyapunov_exponent"),
     "largest_strain_power": _largest("strain_power_rms"),
-    "jump_up": _given("jump_up"),
-    "jump_down": _given("jump_down"),
+    "most_attractors": lambda curve: jnp.max(curve["attractors"]),
+    "least_periodic_share": lambda curve: jnp.min(curve["periodic_share"]),
+}
+"""Measures without a derivative: read off the grid, counted, or averaged over a march."""
+STEPWISE = tuple(STEPWISE_FUNCTIONS)
+FUNCTIONS = STEPWISE_FUNCTIONS | {
+    "peak_amplitude_ratio": _largest("amplitude_ratio"),
+    "largest_contact_force": _largest("contact_force"),
+    "jump_up": itemgetter("jump_up"),
+    "jump_down": itemgetter("jump_down"),
     "hysteresis_width": _hysteresis_width,
-    "hysteresis_area": _hysteresis_area,
-    "aperiodic_fraction": _aperiodic_fraction,
-    "most_attractors": _most_attractors,
-    "least_periodic_share": _least_periodic_share,
-    "natural_frequency": _given("natural_frequency"),
-    "fold": _given("fold"),
-    "grazing": _given("grazing"),
+    "hysteresis_area": _area,
+    "natural_frequency": itemgetter("natural_frequency"),
+    "fold": itemgetter("fold"),
 }
 PLACED = ("fold", "grazing")
 """Measures with several values per lane."""
-STEPWISE = (
-    "peak_frequency",
-    "resonance_shift",
-    "aperiodic_fraction",
-    "grazing",
-    "chaotic_fraction",
-    "periodic_fraction",
-    "largest_lyapunov_exponent",
-    "largest_strain_power",
-    "most_attractors",
-    "least_periodic_share",
-)
-"""Measures without a derivative: read off the grid, counted, or averaged over a march."""
 
 
 def measures_of(asked: Any, offered: tuple[str, ...]) -> tuple[Measure, ...]:
@@ -167,23 +133,9 @@ def measures_of(asked: Any, offered: tuple[str, ...]) -> tuple[Measure, ...]:
     return tuple(found)
 
 
-class _Own:
-    """The library's own measures, compiled once for each."""
-
-    def __init__(self) -> None:
-        self.compiled: dict[str, Any] = {}
-
-    def __call__(self, measure: Measure, curves: Curve, shared: Curve) -> Any:
-        if measure.name not in self.compiled:
-
-            def all_lanes(curves: Curve, shared: Curve) -> Any:
-                return jax.vmap(lambda own: measure.function(own | shared))(curves)
-
-            self.compiled[measure.name] = jax.jit(all_lanes)
-        return self.compiled[measure.name](curves, shared)
-
-
-_own = _Own()
+@compiled
+def _all_lanes(function: Callable[[Curve], Any], curves: Curve, shared: Curve) -> Any:
+    return jax.vmap(lambda own: function(own | shared))(curves)
 
 
 def measure_lanes(
@@ -196,19 +148,16 @@ def measure_lanes(
     found: dict[str, np.ndarray] = {}
     for measure in measures:
         if measure.own:
-            found[measure.name] = np.asarray(_own(measure, curves, shared))
+            found[measure.name] = np.asarray(_all_lanes(measure.function, curves, shared))
             continue
         count = len(next(iter(curves.values())))
         lanes = ({name: a[k] for name, a in curves.items()} | shared for k in range(count))
-        found[measure.name] = np.array([_number(measure, lane) for lane in lanes], float)
+        values = [measure.function(lane) for lane in lanes]
+        for value in values:
+            if np.ndim(value):
+                raise ValueError(
+                    f"The measure {measure.name!r} must return one number for a curve, got an "
+                    f"array of shape {np.shape(value)}."
+                )
+        found[measure.name] = np.array([float(value) for value in values])
     return found
-
-
-def _number(measure: Measure, curve: Curve) -> float:
-    value = measure.function(curve)
-    if np.ndim(value):
-        raise ValueError(
-            f"The measure {measure.name!r} must return one number for a curve, got an array of "
-            f"shape {np.shape(value)}."
-        )
-    return float(value)

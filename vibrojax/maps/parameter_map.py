@@ -15,16 +15,16 @@ from vibrojax._tools.checks import check_count, check_positive, nearest
 from vibrojax._tools.interrupts import stoppable
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
+from vibrojax.branches.settings import ContinuationSettings
 from vibrojax.ensemble.arguments import Arguments, Zipped, arguments_of, default_of
 from vibrojax.ensemble.frequencies import frequency_axis
 from vibrojax.maps import store as stores
-from vibrojax.maps.continuation_curves import ContinuationCurve
+from vibrojax.maps.continuation_map import ContinuationMap
 from vibrojax.maps.continuing import opened, same_map
 from vibrojax.maps.measures import Measures, measures_of
-from vibrojax.maps.periodic_points import PeriodicPoints
+from vibrojax.maps.periodic_map import PeriodicMap
 from vibrojax.maps.planning import MapPlan, chunks_of, plan_of
-from vibrojax.maps.records import OWN
-from vibrojax.maps.regime_sweep import RegimeSweep
+from vibrojax.maps.regime_map import RegimeMap
 from vibrojax.maps.responses import AbstractMapResponse, Grid
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.running import Outcome, run_here, run_on_cluster
@@ -34,13 +34,33 @@ from vibrojax.maps.settings import (
     settings_of,
     unread_of,
 )
-from vibrojax.maps.settled_sweep import SettledSweep
+from vibrojax.maps.sweep_map import SweepMap
 from vibrojax.maps.template import Template, template_of
 from vibrojax.maps.work import MapSpec
 from vibrojax.model.systems import AbstractSystem
+from vibrojax.regime.bifurcation import diagram_settings
+from vibrojax.regime.settings import RegimeSettings
+from vibrojax.steady.methods import PeriodicSettings
+from vibrojax.sweep.settings import SweepSettings
 
 if TYPE_CHECKING:
     import xarray
+
+Response = (
+    str
+    | SweepSettings
+    | PeriodicSettings
+    | ContinuationSettings
+    | RegimeSettings
+    | AbstractMapResponse
+)
+RESPONSES: dict[str, tuple[Callable[[], Any], type, Callable[[Any], AbstractMapResponse]]] = {
+    "sweep": (SweepSettings, SweepSettings, SweepMap),
+    "periodic": (PeriodicSettings, PeriodicSettings, PeriodicMap),
+    "continuation": (ContinuationSettings, ContinuationSettings, ContinuationMap),
+    "regimes": (diagram_settings, RegimeSettings, RegimeMap),
+}
+"""By name: what makes the settings by default, their class, and the response that they are of."""
 
 
 @overload
@@ -49,7 +69,7 @@ def parameter_map(
     *zipped: Zipped,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
-    response: str | AbstractMapResponse = "sweep",
+    response: Response = "sweep",
     measures: Measures | None = None,
     keep_curves: bool | None = None,
     gradients: str | Sequence[str] = (),
@@ -67,19 +87,8 @@ def parameter_map(
 def parameter_map(
     make_system: Callable[..., AbstractSystem],
     *zipped: Zipped,
-    frequency_ratio: ArrayLike | Sequence[float] | None = None,
-    frequency: ArrayLike | Sequence[float] | None = None,
-    response: str | AbstractMapResponse = "sweep",
-    measures: Measures | None = None,
-    keep_curves: bool | None = None,
-    gradients: str | Sequence[str] = (),
-    store: str | os.PathLike[str] | None = None,
-    chunk_lanes: int | None = None,
-    memory: float = 1e9,
-    client: Any = None,
-    progress: bool | None = None,
     dry_run: Literal[True],
-    **arguments: Any,
+    **settings: Any,
 ) -> MapPlan: ...
 
 
@@ -89,7 +98,7 @@ def parameter_map(
     *zipped: Zipped,
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
-    response: str | AbstractMapResponse = "sweep",
+    response: Response = "sweep",
     measures: Measures | None = None,
     keep_curves: bool | None = None,
     gradients: str | Sequence[str] = (),
@@ -115,9 +124,10 @@ def parameter_map(
         frequency_ratio: drive frequencies over the first natural frequency of the unstopped
             system, increasing; or one number, which makes a map at one frequency.
         frequency: the same in Hz; give one of the two.
-        response: `sweep` (settled, both directions), `periodic`, `continuation` or `regimes`, or
-            with settings `vj.SettledSweep(...)`, `vj.PeriodicPoints(...)`,
-            `vj.ContinuationCurve(...)`, `vj.RegimeSweep(...)`.
+        response: what is computed, with which settings: `vj.SweepSettings(...)` (settled),
+            `vj.PeriodicSettings(...)`, `vj.ContinuationSettings(...)`, `vj.RegimeSettings(...)`, as
+            the single studies take them, or `vj.BasinFractions(...)`; or by name with the settings
+            by default, `sweep`, `periodic`, `continuation`, `regimes`.
         measures: what to keep of every curve: names (`peak_amplitude_ratio`, `jump_up`, ...) or
             functions from a curve (a dict of arrays by name) to a number, in a list, or in a dict
             by name. By default whole curves and all measures.
@@ -147,8 +157,10 @@ def parameter_map(
     grid = _grid(frequency_ratio, frequency)
     named = arguments_of(make_system, zipped, arguments)
     chosen = chosen_response(response)
-    offered = tuple(m for m in chosen.offered if not grid.single or m == "natural_frequency")
-    wanted = measures_of(measures, chosen.offered if measures is not None else offered)
+    offered = chosen.layout.offered
+    if measures is None and grid.single:
+        offered = ("natural_frequency",)
+    wanted = measures_of(measures, offered)
     keep = measures is None if keep_curves is None else keep_curves
     gradients = _gradients(make_system, named, gradients)
     if chunk_lanes is not None:
@@ -231,7 +243,7 @@ def _gradients(make: Any, named: Arguments, names: Any) -> tuple[str, ...]:
 
 def _check_names(template: Template) -> None:
     for name in (*template.coordinates, *template.variables):
-        if name == OWN:
+        if name == stores.OWN:
             raise ValueError(f"{name} is the name of a folder in every store: give another name.")
     for name in template.coordinates:
         if name in template.variables:
@@ -312,22 +324,19 @@ def _dataset(place: Any, names: list[str], in_memory: bool) -> "xarray.Dataset":
 
 
 def chosen_response(response: Any) -> AbstractMapResponse:
-    """Return the response asked for, by name or with its settings.
+    """Return the response asked for, by name or by its settings.
 
     Raises `ValueError` for what is neither.
     """
-    kinds: dict[str, type[AbstractMapResponse]] = {
-        "sweep": SettledSweep,
-        "periodic": PeriodicPoints,
-        "continuation": ContinuationCurve,
-        "regimes": RegimeSweep,
-    }
     if isinstance(response, AbstractMapResponse):
         return response
-    if not isinstance(response, str) or response not in kinds:
-        raise ValueError(
-            f"response must be one of {', '.join(map(repr, kinds))}, or one of vj.SettledSweep(), "
-            f"vj.PeriodicPoints(), vj.ContinuationCurve(), vj.RegimeSweep() with settings, got "
-            f"{response!r}."
-        )
-    return kinds[response]()
+    for name, (default, kind, made) in RESPONSES.items():
+        if isinstance(response, str) and response == name:
+            return made(default())
+        if isinstance(response, kind):
+            return made(response)
+    raise ValueError(
+        f"response must be one of {', '.join(map(repr, RESPONSES))}, or one of "
+        "vj.SweepSettings(), vj.PeriodicSettings(), vj.ContinuationSettings(), "
+        f"vj.RegimeSettings(), vj.BasinFractions(...), got {response!r}."
+    )

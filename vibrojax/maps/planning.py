@@ -4,7 +4,6 @@ import math
 import time
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -13,6 +12,7 @@ from vibrojax.maps.chunks import Chunks, cut, spread_out
 from vibrojax.maps.responses import AbstractMapResponse, Grid
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.work import MapSpec, MapWork
+from vibrojax.model.systems import equation_kinds
 
 POINTS = {"cpu": 40_000, "gpu": 2_000_000}
 """Points of a block: work of a minute or so, which is what an interruption costs."""
@@ -22,13 +22,16 @@ TRIAL = 32
 """Lanes that the time of a map is estimated from."""
 
 
-def lane_bytes(response: AbstractMapResponse, grid: Grid, coordinates: int) -> int:
-    """Memory that a lane takes while its block is computed, about."""
-    ways = max(1, len(response.ways()[1]))
-    state = 2 * coordinates * 8
-    tables = 16 * state * state // 8
-    history = 40 * state
-    return ways * (len(grid.values) * (response.bytes_per_point + state) + tables + history)
+def _lane(maker: RigMaker, response: AbstractMapResponse, grid: Grid) -> tuple[int, int]:
+    """Return the points of a lane, and the memory it takes while its block is computed, about."""
+    layout = response.layout
+    ways = max(1, len(layout.ways))
+    state = 16 * equation_kinds(maker.sample()).size
+    tables_and_history = 2 * state * state + 40 * state
+    points = ways * len(grid.values)
+    return points, points * (
+        8 * (len(layout.variables) + layout.further) + state
+    ) + ways * tables_and_history
 
 
 def chunks_of(
@@ -40,18 +43,14 @@ def chunks_of(
     workers: int,
 ) -> Chunks:
     """Cut a map into blocks that fit the memory and keep all workers busy."""
-    shape = maker.arguments.shape
     if lanes is None:
-        kind = jax.default_backend()
-        points = POINTS.get(kind, POINTS["gpu"])
-        scale = points // POINTS["cpu"]
-        ways = max(1, len(response.ways()[1]))
-        lanes = int(np.clip(points // (ways * len(grid.values)), FEWEST, MOST * scale))
-        size = eqx.filter_eval_shape(maker.sample().equations).size
-        lanes = min(lanes, max(1, int(memory // lane_bytes(response, grid, size))))
+        most = POINTS.get(jax.default_backend(), POINTS["gpu"])
+        points, size = _lane(maker, response, grid)
+        lanes = int(np.clip(most // points, FEWEST, MOST * (most // POINTS["cpu"])))
+        lanes = min(lanes, max(1, int(memory // size)))
         if workers > 1:  # some blocks for each, so that none waits long for the last
             lanes = min(lanes, max(16, math.ceil(maker.arguments.lanes / (4 * workers))))
-    return cut(shape, maker.static, lanes)
+    return cut(maker.arguments.shape, maker.static, lanes)
 
 
 class MapPlan(NamedTuple):
@@ -82,45 +81,40 @@ class MapPlan(NamedTuple):
         return self.lanes * self.lane_seconds / self.workers + self.compile_seconds
 
     def __repr__(self) -> str:
-        return "\n".join(
-            [
-                f"Map of {self.lanes:,} lanes, {self.points:,} points",
-                f"  chunks     {self.chunks:,} of up to {self.lanes_per_chunk:,} lanes",
-                f"  memory     {_bytes(self.memory_bytes)} for each chunk that is computed",
-                f"  result     {_bytes(self.stored_bytes)}",
-                f"  rate       {1 / self.lane_seconds:,.3g} lanes/s, {self.workers} at a time, "
-                "measured on a few lanes",
-                f"  time       about {clock(self.seconds)}, compiling {self.compile_seconds:.0f} s "
-                "of it",
-            ]
+        return (
+            f"Map of {self.lanes:,} lanes, {self.points:,} points\n"
+            f"  chunks     {self.chunks:,} of up to {self.lanes_per_chunk:,} lanes\n"
+            f"  memory     {_bytes(self.memory_bytes)} for each chunk that is computed\n"
+            f"  result     {_bytes(self.stored_bytes)}\n"
+            f"  rate       {1 / self.lane_seconds:,.3g} lanes/s, {self.workers} at a time, "
+            "measured on a few lanes\n"
+            f"  time       about {_clock(self.seconds)}, compiling {self.compile_seconds:.0f} s of "
+            "it"
         )
 
 
 def plan_of(spec: MapSpec, maker: RigMaker, workers: int) -> MapPlan:
     """Run a few lanes spread over the map, and say what all of them will take."""
-    shape = spec.arguments.shape
-    rows = spread_out(shape, min(TRIAL, spec.chunks.lanes_per_block))
-    trial = _trial(spec, maker, rows)
-    started = time.perf_counter()
-    work = MapWork(trial)
-    work.compute(0)
-    between = time.perf_counter()
-    work.compute(0)
-    run = time.perf_counter() - between
-    ways = max(1, len(spec.response.ways()[1]))
-    coordinates = eqx.filter_eval_shape(maker.sample().equations).size
-    stored = sum(math.prod(v.shape) * v.dtype.itemsize for v in spec.template.variables.values())
-    per_lane = lane_bytes(spec.response, spec.grid, coordinates)
+    chunks, variables = spec.chunks, spec.template.variables.values()
+    rows = spread_out(spec.arguments.shape, min(TRIAL, chunks.lanes_per_block))
+    work = MapWork(_trial(spec, maker, rows))
+    times = [time.perf_counter()]
+    for _ in range(2):
+        work.compute(0)
+        times.append(time.perf_counter())
+    first, run = np.diff(times).tolist()
+    points, size = _lane(maker, spec.response, spec.grid)
+    stored = sum(math.prod(v.inner.values()) * v.dtype.itemsize for v in variables)
     return MapPlan(
         lanes=spec.arguments.lanes,
-        points=spec.arguments.lanes * ways * len(spec.grid.values),
-        chunks=spec.chunks.number,
-        lanes_per_chunk=spec.chunks.lanes_per_block,
-        memory_bytes=per_lane * spec.chunks.lanes_per_block,
-        stored_bytes=stored,
-        workers=min(workers, spec.chunks.number),
+        points=spec.arguments.lanes * points,
+        chunks=chunks.number,
+        lanes_per_chunk=chunks.lanes_per_block,
+        memory_bytes=size * chunks.lanes_per_block,
+        stored_bytes=spec.arguments.lanes * stored,
+        workers=min(workers, chunks.number),
         lane_seconds=run / len(rows),
-        compile_seconds=max(0.0, between - started - run),
+        compile_seconds=max(0.0, first - run),
     )
 
 
@@ -139,18 +133,9 @@ def _trial(spec: MapSpec, maker: RigMaker, rows: list[tuple[int, ...]]) -> MapSp
                 values[name] = own[[row[k] for row in rows]].astype(float)
     if not values:
         return spec
-    dimension = Dimension("lane", values)
-    template = spec.template._replace(
-        outer=("lane",),
-        variables={
-            n: v._replace(shape=(len(rows), *v.shape[len(spec.template.outer) :]))
-            for n, v in spec.template.variables.items()
-        },
-    )
     return spec._replace(
-        arguments=Arguments((dimension,), fixed),
+        arguments=Arguments((Dimension("lane", values),), fixed, {}),
         chunks=cut((len(rows),), (False,), len(rows)),
-        template=template,
     )
 
 
@@ -162,12 +147,8 @@ def _bytes(count: float | int) -> str:
     return f"{count:.3g} TB"
 
 
-def clock(seconds: float) -> str:
-    """Return a time in words."""
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    if seconds < 7200:
-        return f"{seconds / 60:.0f} min"
-    if seconds < 172800:
-        return f"{seconds / 3600:.1f} h"
+def _clock(seconds: float) -> str:
+    for most, size, unit in ((120, 1, "s"), (7200, 60, "min"), (172800, 3600, "h")):
+        if seconds < most:
+            return f"{seconds / size:.{int(unit == 'h')}f} {unit}"
     return f"{seconds / 86400:.1f} days"

@@ -10,8 +10,12 @@ from jaxtyping import Bool, Float, Int
 from vibrojax._tools.described import described
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem
-from vibrojax.stepping.method import AbstractMethod
+from vibrojax.results.status import Status
+from vibrojax.stepping.stepper import AbstractStepper
 
+MARCHED = Status.settled.name, Status.aperiodic.name, Status.diverged.name
+"""How lanes end that are marched: as bad as their worst point, unbounded ones as diverged."""
+STATUS = tuple(status.name for status in Status)
 WHOLE = ("period", "status", "periods_marched", "steps", "regime")
 """Variables that are whole numbers."""
 
@@ -53,14 +57,42 @@ class Computed(NamedTuple):
     """Arrays (lanes,), or (lanes, places) for folds and touches."""
     points: Points
     lane_status: Int[np.ndarray, " lanes"]
-    """Index into the `lane_words` of the response."""
+    """Index into the `lane_words` of the layout."""
     lane_steps: Int[np.ndarray, " lanes"]
-    folds: dict[str, Folds]
+    folds: dict[str, Folds] = {}  # noqa: RUF012
     """What is behind jumps and folds, over (lanes, [places]), for derivatives."""
+
+
+class Layout(NamedTuple):
+    """What a response is about: the names of what it gives."""
+
+    variables: tuple[str, ...]
+    """Over the frequency."""
+    offered: tuple[str, ...]
+    """Measures that it has."""
+    lane_words: tuple[str, str, str]
+    """How a lane can end, from whole to lost, in one word."""
+    point_words: tuple[str, ...]
+    """How a point can end: the words for the numbers of `status`."""
+    way: str = ""
+    """Dimension before the frequency (`direction`, `crossing`), where there is one."""
+    ways: tuple[Any, ...] = ()
+    """Its values."""
+    behind: dict[str, tuple[str, int]] = {}  # noqa: RUF012
+    """Variables with a dimension behind the frequency: its name and length."""
+    further: int = 24
+    """Numbers besides the variables that a point takes while its block is computed."""
 
 
 class AbstractMapResponse(eqx.Module):
     """A kind of response with its settings; what `parameter_map` computes for every lane."""
+
+    settings: eqx.AbstractVar[Any]
+
+    @property
+    @abstractmethod
+    def layout(self) -> Layout:
+        """Names of what it gives."""
 
     @abstractmethod
     def check(self, sample: AbstractSystem, grid: Grid) -> None:
@@ -71,57 +103,23 @@ class AbstractMapResponse(eqx.Module):
         """
 
     @abstractmethod
-    def ways(self) -> tuple[str, list[Any]]:
-        """Return the dimension before the frequency (`direction`, `crossing`) and its values."""
-
-    @property
-    @abstractmethod
-    def variables(self) -> tuple[str, ...]:
-        """Names of the variables over the frequency."""
-
-    @property
-    def behind(self) -> dict[str, tuple[str, int]]:
-        """Return variables with a dimension behind the frequency: its name and length."""
-        return {}
-
-    @property
-    @abstractmethod
-    def offered(self) -> tuple[str, ...]:
-        """Names of the measures it has."""
-
-    @property
-    @abstractmethod
-    def lane_words(self) -> tuple[str, str, str]:
-        """How a lane can end, from whole to lost, in one word."""
-
-    @property
-    def point_words(self) -> tuple[str, ...]:
-        """How a point can end: the words for the numbers of `status`."""
-        return self.lane_words
-
-    @abstractmethod
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Answer all lanes of a block.
 
         `maker` makes the rigs, `index` says which of them, `grid` holds the frequencies.
         """
 
-    def march_method(self, sample: AbstractSystem, grid: Grid) -> AbstractMethod | None:
-        """Return the method whose steps its motions were marched with, None where none was.
+    def march_stepper(self, sample: AbstractSystem, grid: Grid) -> AbstractStepper | None:
+        """Return the stepper whose steps its motions were marched with, None where none was.
 
         `sample` is one system of the map, `grid` holds its frequencies.
         """
         return None
 
     @property
-    def bytes_per_point(self) -> int:
-        """Memory that a point of a curve takes while its block is computed."""
-        return 8 * (len(self.variables) + 24)
-
-    @property
     def recipe(self) -> str:
         """The settings as Python, without those that are as by default: a store is known by it."""
-        return eqx.tree_pformat(self)
+        return eqx.tree_pformat(self.settings)
 
     def __repr__(self) -> str:
         return described(self)

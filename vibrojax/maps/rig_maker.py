@@ -1,10 +1,11 @@
 """From the function of the rig to the rigs of a block, many at once where JAX can trace it."""
 
+import contextlib
 import hashlib
+import itertools
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import equinox as eqx
@@ -12,11 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from vibrojax._tools.compiled import compiled
 from vibrojax.ensemble.arguments import Arguments, default_of
-from vibrojax.ensemble.lanes import stacked
+from vibrojax.ensemble.lanes import made_by, stacked
 from vibrojax.maps.chunks import Block
 from vibrojax.maps.fingerprints import value_digest
-from vibrojax.model.systems import AbstractSystem, as_arrays, check_made
+from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.sweep.swept_lanes import Rigs, rigs_of
 
 TOGETHER = 4096
@@ -27,7 +29,7 @@ Numbers = tuple[dict[str, Any], ...]
 """Values along every dimension that is traced."""
 
 
-@eqx.filter_jit
+@compiled
 def _made(make, static: dict[str, Any], fixed: dict[str, Any], numbers: Numbers, with_modes: bool):
     # One vmap for each dimension: what depends on one of them only (the modes on taper and mass,
     # say) is computed once for its values, not for every lane.
@@ -37,67 +39,46 @@ def _made(make, static: dict[str, Any], fixed: dict[str, Any], numbers: Numbers,
             return Rigs(system.equations(), system.drive) if with_modes else system
         return eqx.filter_vmap(lambda own: level(depth + 1, known | own))(numbers[depth])
 
-    made = level(0, {})
-    depth = len(numbers)
-
-    def flat(leaf):
-        if not eqx.is_array(leaf):
-            return leaf
-        # Not -1: without stops some arrays have no elements.
-        return leaf.reshape((math.prod(leaf.shape[:depth]), *leaf.shape[depth:]))
-
-    return jax.tree.map(flat, made)
-
-
-def _lanes(numbers: dict[str, np.ndarray]) -> int:
-    return len(next(iter(numbers.values())))
+    # Not -1 for the lanes: without stops some arrays have no elements.
+    return jax.tree.map(
+        lambda leaf: (
+            leaf.reshape((math.prod(leaf.shape[: len(numbers)]), *leaf.shape[len(numbers) :]))
+            if eqx.is_array(leaf)
+            else leaf
+        ),
+        level(0, {}),
+    )
 
 
-@contextmanager
-def _on_host() -> Iterator[None]:
+def _on_host() -> contextlib.AbstractContextManager[Any]:
     """Compute on the processor of this host, where results are the same whatever else it has."""
     try:
-        device = jax.local_devices(backend="cpu")[0]
+        return jax.default_device(jax.local_devices(backend="cpu")[0])
     except RuntimeError:  # JAX may use others only
-        yield
-        return
-    with jax.default_device(device):
-        yield
+        return contextlib.nullcontext()
 
 
-class _Stacked:
-    """Systems stacked along a leading axis, for their fingerprints."""
-
-    def __init__(self, systems: AbstractSystem) -> None:
-        arrays, others = eqx.partition(systems, eqx.is_array)
-        self.leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(arrays)]
-        self.others = value_digest(others)
-
-    def digest(self, first: int = 0, last: int | None = None) -> str:
-        """Return what stands for some of them."""
-        found = hashlib.blake2b(self.others.encode(), digest_size=8)
-        for leaf in self.leaves:
-            own = np.ascontiguousarray(leaf[first:last])
-            found.update(f"{own.dtype} {own.shape}".encode())
-            found.update(own.tobytes())
-        return found.hexdigest()
+def _digests_of(systems: AbstractSystem, count: int = 1) -> list[str]:
+    """Return what stands for each of so many equal parts of stacked systems."""
+    arrays, others = eqx.partition(systems, eqx.is_array)
+    alike = value_digest(others).encode()
+    found = [hashlib.blake2b(alike, digest_size=8) for _ in range(count)]
+    for leaf in jax.tree.leaves(arrays):
+        for own, part in zip(found, np.split(np.asarray(leaf), count), strict=True):
+            own.update(f"{part.dtype} {part.shape}".encode() + part.tobytes())
+    return [own.hexdigest() for own in found]
 
 
 class RigMaker:
     """The function of a map and what it is called with."""
 
-    make: Callable[..., AbstractSystem]
-    arguments: Arguments
-    static: tuple[bool, ...]
-    """Which dimensions are not traced: texts, and numbers that decide the structure."""
-    traced: bool
-    """Whether the function can be traced."""
-
     def __init__(self, make: Callable[..., AbstractSystem], arguments: Arguments) -> None:
         self.make, self.arguments = make, arguments
         dimensions = arguments.dimensions
         self.static = tuple(d.is_text for d in dimensions)
+        """Which dimensions are not traced: texts, and numbers that decide the structure."""
         self.traced = True
+        """Whether the function can be traced."""
         if not self._traceable():
             # Whole numbers may decide the structure (num_modes): one compilation for each.
             self.static = tuple(d.is_text or d.is_whole for d in dimensions)
@@ -133,9 +114,7 @@ class RigMaker:
         Raises `ValueError` where it is no system.
         """
         index = (0,) * len(self.arguments.dimensions) if index is None else index
-        made = self.make(**self.arguments.at(index))
-        check_made(self.make, made)
-        return made
+        return made_by(self.make, self.arguments.at(index))
 
     def check(self) -> None:
         """Build every value of every axis once from concrete numbers: wrong ones are refused."""
@@ -147,48 +126,41 @@ class RigMaker:
 
     def systems(self, index: tuple[np.ndarray, ...]) -> AbstractSystem:
         """Return the systems of a block, stacked, the last dimension running fastest."""
-        if self.traced:
-            static, fixed, numbers = self._split(index)
-            return _made(self.make, static, fixed, numbers, False)
-        return self._sampled(index)
+        return _made(self.make, *self._split(index), False) if self.traced else self._sampled(index)
 
     def _sampled(self, index: tuple[np.ndarray, ...]) -> AbstractSystem:
         """Return the systems of a block, stacked, each made from concrete numbers."""
-        grid = np.stack(np.meshgrid(*index, indexing="ij"), axis=-1).reshape(-1, len(index))
-        return stacked([self.sample(tuple(map(int, row))) for row in grid])
+        return stacked([self.sample(tuple(map(int, at))) for at in itertools.product(*index)])
 
     def rigs(self, index: tuple[np.ndarray, ...]) -> Rigs:
         """Return equations and drives of a block, stacked likewise."""
         if not self.traced:
-            return rigs_of(self.systems(index))
-        static, fixed, numbers = self._split(index)
-        return _made(self.make, static, fixed, numbers, True)
+            return rigs_of(self._sampled(index))
+        return _made(self.make, *self._split(index), True)
 
     def lane_numbers(
-        self, index: tuple[np.ndarray, ...], names: tuple[str, ...]
-    ) -> tuple[dict[str, Any], dict[str, jnp.ndarray]]:
-        """Return, lane by lane of a block, the numbers that vary, `names` always among them.
+        self, index: tuple[np.ndarray, ...], names: tuple[str, ...] = ()
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Return the static arguments of a block, and its numbers lane by lane.
 
-        With them the static arguments: `make(**static, **{n: v[k] for each})` is the rig of lane k.
+        Numbers are those that vary, and `names`: `make(**static, **{n: v[k] for each})` is the rig
+        of lane k.
         """
-        static, found = self._flat(index)
-        count = _lanes(found) if found else 1
-        for name in names:
-            if name not in found:
-                found[name] = np.full(count, float(self.default(name)))
-                static.pop(name, None)
-        return static, {n: jnp.asarray(v, float) for n, v in found.items()}
-
-    def _flat(self, index: tuple[np.ndarray, ...]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Return the static arguments of a block, and its numbers lane by lane."""
         static, fixed, numbers = self._split(index)
-        lengths = [len(next(iter(d.values()))) for d in numbers]
-        found = {n: np.full(int(np.prod(lengths, dtype=int)), v) for n, v in fixed.items()}
-        for k, own in enumerate(numbers):
-            shape = [-1 if j == k else 1 for j in range(len(lengths))]
-            for n, v in own.items():
-                found[n] = np.broadcast_to(v.reshape(shape), lengths).ravel()
+        lengths = [len(next(iter(own.values()))) for own in numbers]
+        count = math.prod(lengths)
+        places = np.unravel_index(np.arange(count), lengths) if lengths else ()
+        for name in names:
+            if not any(name in own for own in (fixed, *numbers)):
+                fixed[name] = float(static.pop(name, default_of(self.make, name)))
+        found = {n: np.full(count, float(v)) for n, v in fixed.items()}
+        for place, own in zip(places, numbers, strict=True):
+            found |= {n: v[place] for n, v in own.items()}
         return static, found
+
+    def together(self, lanes: int) -> int:
+        """Return of how many blocks of so many lanes the digests are computed at a time."""
+        return max(1, TOGETHER // lanes) if self.traced else 1
 
     def digests(self, blocks: Iterable[Block]) -> Iterator[str]:
         """Return, for each block, what stands for all numbers of its systems.
@@ -198,67 +170,41 @@ class RigMaker:
         the function was changed.
         """
         if not self.traced or all(self.static):
-            for block in blocks:
-                yield self._digest_of_samples(block)
+            yield from map(self._digest_of_samples, blocks)
             return
-        together: list[tuple[Block, dict[str, np.ndarray]]] = []
-        common: dict[str, Any] = {}
-        lanes = 0
-        for block in blocks:
-            static, numbers = self._flat(block.indices)
-            if together and (static != common or lanes >= TOGETHER):
-                yield from self._digests(common, together)
-                together, lanes = [], 0
-            common = static
-            together.append((block, numbers))
-            lanes += _lanes(numbers)
-        if together:
-            yield from self._digests(common, together)
+        for _, group in itertools.groupby(blocks, lambda block: self._split(block.indices)[0]):
+            alike = list(group)
+            step = self.together(math.prod(map(len, alike[0].indices)))
+            for k in range(0, len(alike), step):
+                yield from self._digests(alike[k : k + step])
 
     def _digest_of_samples(self, block: Block) -> str:
         try:
             with _on_host():
-                return _Stacked(self._sampled(block.indices)).digest()
+                return _digests_of(self._sampled(block.indices))[0]
         except Exception:  # as will be said where it is computed
             return NO_RIGS
 
-    def _digests(
-        self, static: dict[str, Any], blocks: list[tuple[Block, dict[str, np.ndarray]]]
-    ) -> Iterator[str]:
-        """Return what stands for the systems of some blocks, whose numbers are given."""
-        _, names = blocks[0]
-        flat = {n: np.concatenate([numbers[n] for _, numbers in blocks]) for n in names}
-        try:
-            made = _Stacked(self._by_operations(static, flat))
-        except Exception:  # one of them cannot be made
-            for block, _ in blocks:
-                yield self._digest_of_samples(block)
-            return
-        first = 0
-        for _, numbers in blocks:
-            yield made.digest(first, first + _lanes(numbers))
-            first += _lanes(numbers)
-
-    def _by_operations(self, static: dict[str, Any], flat: dict[str, np.ndarray]) -> Any:
-        """Return systems lane by lane, not compiled as a whole."""
-
-        def one(numbers: dict[str, Any]) -> AbstractSystem:
-            return as_arrays(self.make(**static, **numbers))
-
+    def _digests(self, blocks: list[Block]) -> Iterable[str]:
+        """Return what stands for the systems of blocks with the same static arguments."""
+        static, several = zip(*(self.lane_numbers(b.indices) for b in blocks), strict=True)
+        flat = {n: np.concatenate([own[n] for own in several]) for n in several[0]}
+        count = len(next(iter(flat.values())))
         # Always as many, whatever the map: operations are compiled once, and no lane is treated
         # apart as one of the odd ones at the end of a vector.
-        count = _lanes(flat)
         padded = {n: np.pad(v, (0, -count % TOGETHER), mode="edge") for n, v in flat.items()}
-        parts = []
-        with _on_host():
-            for k in range(0, count, TOGETHER):
-                own = {n: jnp.asarray(v[k : k + TOGETHER]) for n, v in padded.items()}
-                parts.append(jax.device_get(eqx.filter_vmap(one)(own)))
-        return jax.tree.map(
-            lambda *parts: np.concatenate(parts) if eqx.is_array(parts[0]) else parts[0], *parts
-        )
-
-    def default(self, name: str) -> Any:
-        """Return the value of an argument that is not varied."""
-        fixed = self.arguments.fixed
-        return fixed[name] if name in fixed else default_of(self.make, name)
+        make = eqx.filter_vmap(lambda own: as_arrays(self.make(**static[0], **own)))
+        try:
+            with _on_host():
+                parts = [
+                    jax.device_get(
+                        make({n: jnp.asarray(v[k:][:TOGETHER]) for n, v in padded.items()})
+                    )
+                    for k in range(0, count, TOGETHER)
+                ]
+            made = jax.tree.map(
+                lambda *a: np.concatenate(a)[:count] if eqx.is_array(a[0]) else a[0], *parts
+            )
+            return _digests_of(made, len(blocks))
+        except Exception:  # one of them cannot be made
+            return map(self._digest_of_samples, blocks)

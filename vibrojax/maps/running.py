@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 
 from vibrojax._tools.interrupts import in_threads
-from vibrojax.maps.store import MapStore, open_map
+from vibrojax.maps.store import MapStore
 from vibrojax.maps.store_files import StoreFull, StoreReadOnly
 from vibrojax.maps.work import MapSpec, MapWork
 
@@ -68,34 +68,23 @@ class _Devices:
 
 def run_here(spec: MapSpec, store: MapStore, numbers: list[int]) -> Generator[Outcome, None, None]:
     """Run blocks in this process, one at a time on each of its devices."""
-    work = MapWork(spec)
-    count = len(jax.local_devices())
+    work, count = MapWork(spec), len(jax.local_devices())
     run = attempt if count == 1 else _Devices().attempt
     return in_threads(lambda number: run(work, store, number), numbers, count)
-
-
-class _Task(NamedTuple):
-    """What a worker of a cluster needs besides the number of its block."""
-
-    run: str
-    """One name for all blocks of a call: a worker keeps what it has opened and compiled."""
-    spec: bytes
-    path: str
 
 
 _opened: dict[str, tuple[MapWork, MapStore, _Devices]] = {}
 _opening = threading.Lock()
 
 
-def _attempt_there(task: _Task, number: int) -> Outcome:
-    """Run a block on a worker of a cluster."""
+def _attempt_there(run: str, pickled: bytes, path: str, number: int) -> Outcome:
+    """Run a block on a worker of a cluster, which keeps what it has opened for all of a run."""
     with _opening:
-        if task.run not in _opened:
+        if run not in _opened:
             _opened.clear()
-            spec: MapSpec = pickle.loads(task.spec)
-            work = MapWork(spec)
-            _opened[task.run] = work, open_map(task.path, spec), _Devices()
-        work, store, devices = _opened[task.run]
+            spec: MapSpec = pickle.loads(pickled)
+            _opened[run] = MapWork(spec), MapStore(path, spec), _Devices()
+        work, store, devices = _opened[run]
     return devices.attempt(work, store, number)
 
 
@@ -106,15 +95,16 @@ def run_on_cluster(
     import cloudpickle
     from distributed import as_completed as completed
 
-    task = _Task(uuid.uuid4().hex, cloudpickle.dumps(spec), os.path.abspath(path))
+    run = uuid.uuid4().hex
+    task = run, cloudpickle.dumps(spec), os.path.abspath(path)
     waiting = iter(numbers)
     workers = max(1, sum(client.nthreads().values()))
     number_of: dict[str, int] = {}
 
     def submit(number: int) -> Any:
-        key = f"vibrojax-map-{task.run}-{number}"
+        key = f"vibrojax-map-{run}-{number}"
         number_of[key] = number
-        return client.submit(_attempt_there, task, number, key=key, pure=False)
+        return client.submit(_attempt_there, *task, number, key=key, pure=False)
 
     first = [submit(n) for n in itertools.islice(waiting, AHEAD * workers)]
     ended = completed(first)

@@ -1,6 +1,7 @@
 """What a map is known by: settings, rigs and functions, as its store keeps them."""
 
 import json
+import os
 from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any
@@ -9,14 +10,14 @@ import equinox as eqx
 import jax
 
 from vibrojax._tools.described import recipe
-from vibrojax.maps.basin_fractions import BasinFractions
+from vibrojax.maps.basin_map import BasinFractions
 from vibrojax.maps.fingerprints import identity_of, source_of, value_digest
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.store_files import digest
 from vibrojax.maps.work import MapSpec
 from vibrojax.model.systems import AbstractSystem
 
-FORMAT = 2
+FORMAT = 3
 """Changes when older stores cannot be continued any more."""
 CHANGING = "changes while the map is computed"
 """Stands for what a measure reads that is no setting, such as a counter."""
@@ -28,44 +29,37 @@ RIGS = ("first_rig", "last_rig")
 
 def settings_of(spec: MapSpec, maker: RigMaker) -> dict[str, Any]:
     """All that decides the values of a map, as JSON: stores of other settings are refused."""
-    last = tuple(size - 1 for size in spec.arguments.shape)
+    dimensions = spec.arguments.dimensions
+    ends = ((0,) * len(dimensions), tuple(d.size - 1 for d in dimensions))
+    own = [identity_of(m.function) for m in spec.measures]
     return {
         "format": FORMAT,
         "vibrojax_version": version("vibrojax"),
         "jax_version": version("jax"),
         "float64": bool(jax.config.read("jax_enable_x64")),
-        "axes": {
-            d.name: {n: v.tolist() for n, v in d.values.items()} for d in spec.arguments.dimensions
-        },
-        "axis_order": [d.name for d in spec.arguments.dimensions],
+        "axes": {d.name: {n: v.tolist() for n, v in d.values.items()} for d in dimensions},
+        "axis_order": [d.name for d in dimensions],
         "fixed": {n: _fixed(v) for n, v in spec.arguments.fixed.items()},
         "frequency": {"axis": spec.grid.axis, "values": spec.grid.values.tolist()},
         "single_frequency": spec.grid.single,
         "response": spec.response.recipe,
-        "measures": {m.name: None if m.own else _known(m.function) for m in spec.measures},
+        "measures": {
+            m.name: None if m.own else {"source": one.source, "reads": one.reads}
+            for m, one in zip(spec.measures, own, strict=True)
+        },
         "keep_curves": spec.keep_curves,
         "gradients": list(spec.gradients),
-        "first_rig": _identity(maker.sample()),
-        "last_rig": _identity(maker.sample(last)),
-    }
+    } | {name: _fixed(maker.sample(at)) for name, at in zip(RIGS, ends, strict=True)}
 
 
 def _fixed(value: Any) -> str:
-    """A fixed argument in words, the same in whatever process."""
-    if callable(value) and not isinstance(value, eqx.Module):
-        return f"{getattr(value, '__name__', 'function')} {value_digest(value)}"
-    return recipe(value)
-
-
-def _known(function: Callable[..., Any]) -> dict[str, Any]:
-    found = identity_of(function)
-    return {"source": found.source, "reads": found.reads}
-
-
-def _identity(system: AbstractSystem) -> str:
-    """A system in words, and what stands for every digit of its numbers and its code."""
+    """A fixed argument or a system in words, and what stands for every digit of it and its code."""
     # Not its repr, which is for people and may change: a store is known by this text.
-    return f"{recipe(system)} {value_digest(system)}"
+    if isinstance(value, eqx.Module):
+        return f"{recipe(value)} {value_digest(value)}"
+    if callable(value):
+        return f"{getattr(value, '__name__', 'function')} {value_digest(value)}"
+    return repr(value)
 
 
 def identity_of_chunks(settings: dict[str, Any]) -> str:
@@ -78,43 +72,45 @@ def unread_of(spec: MapSpec) -> list[str]:
     """Return what functions of the user read and has no fingerprint, in words."""
     own: dict[str, Callable[..., Any]] = {m.name: m.function for m in spec.measures if not m.own}
     if isinstance(spec.response, BasinFractions):
-        own["start"] = spec.response.start
+        own["start"] = spec.response.starts.start
     return [f"{name}: {what}" for name, f in own.items() for what in identity_of(f).unknown]
 
 
 def with_changing(settings: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
     """Take over from other settings what of the measures is known to change."""
-    measures = dict(settings["measures"])
-    for name, own in measures.items():
-        try:
-            other = known["measures"][name]["reads"]
-            changing = {n: t for n, t in other.items() if t == CHANGING}
-        except (KeyError, TypeError, AttributeError):  # the library's own, or another measure
-            continue
-        if own:
-            measures[name] = own | {"reads": own["reads"] | changing}
-    return settings | {"measures": measures}
+    if known.get("format") != FORMAT:
+        return settings
+    for name, own in settings["measures"].items():
+        other = known["measures"].get(name)
+        if own and other:
+            changing = {n: t for n, t in other["reads"].items() if t == CHANGING}
+            settings = _reading(settings, name, own["reads"] | changing)
+    return settings
 
 
 def after_computing(spec: MapSpec, settings: dict[str, Any]) -> dict[str, Any]:
     """Return the settings with what its own computing changes, such as a counter, left out."""
-    measures = dict(settings["measures"])
     for m in spec.measures:
-        known = measures[m.name]
-        if known:
-            now = identity_of(m.function).reads
-            reads = {n: t if now.get(n) == t else CHANGING for n, t in known["reads"].items()}
-            measures[m.name] = known | {"reads": reads}
-    return settings | {"measures": measures}
+        if not m.own:
+            now, known = identity_of(m.function).reads, settings["measures"][m.name]["reads"]
+            kept = {n: t if now.get(n) == t else CHANGING for n, t in known.items()}
+            settings = _reading(settings, m.name, kept)
+    return settings
+
+
+def _reading(settings: dict[str, Any], name: str, reads: dict[str, str]) -> dict[str, Any]:
+    """Return settings in which a measure reads something else."""
+    measures = settings["measures"]
+    return settings | {"measures": measures | {name: measures[name] | {"reads": reads}}}
 
 
 def attributes_of(
     spec: MapSpec, sample: AbstractSystem, settings: dict[str, Any]
 ) -> dict[str, Any]:
     """What the dataset says of itself: enough to make it again."""
-    dims = {*spec.template.outer, *(d for v in spec.template.variables.values() for d in v.dims)}
+    dims = {*spec.template.outer, *(d for v in spec.template.variables.values() for d in v.inner)}
     others = [name for name in spec.template.coordinates if name not in dims]
-    attributes = {
+    return {
         "title": "vibrojax parameter map",
         "rig": recipe(sample),
         "rig_source": source_of(spec.make),
@@ -122,10 +118,9 @@ def attributes_of(
         "vibrojax_version": settings["vibrojax_version"],
         "jax_version": settings["jax_version"],
         "block": json.dumps(spec.chunks.block),
+        **({"coordinates": " ".join(others)} if others else {}),
+        "vibrojax_map": json.dumps(settings),
     }
-    if others:
-        attributes["coordinates"] = " ".join(others)
-    return attributes | {"vibrojax_map": json.dumps(settings)}
 
 
 def _call(spec: MapSpec) -> str:
@@ -135,33 +130,32 @@ def _call(spec: MapSpec) -> str:
     parts = [name if name.isidentifier() else "make_system"]
     for d in spec.arguments.dimensions:
         inside = ", ".join(f"{n}={v.tolist()!r}" for n, v in d.values.items())
-        if len(d.values) > 1:
-            inside = f"{d.name}=vj.zipped({inside})"
-        parts.append(inside)
+        parts.append(f"{d.name}=vj.zipped({inside})" if len(d.values) > 1 else inside)
     parts += [f"{n}={recipe(v)}" for n, v in spec.arguments.fixed.items()]
-    parts.append(f"{spec.grid.axis}={values[0] if spec.grid.single else values!r}")
-    settings = spec.response.recipe
-    parts.append(f"response=vj.{settings}")
     names = ", ".join(repr(m.name) if m.own else m.name for m in spec.measures)
-    parts.append(f"measures=[{names}]")
-    parts.append(f"keep_curves={spec.keep_curves}")
-    if spec.gradients:
-        parts.append(f"gradients={list(spec.gradients)!r}")
+    parts += [
+        f"{spec.grid.axis}={values[0] if spec.grid.single else values!r}",
+        f"response=vj.{spec.response.recipe}",
+        f"measures=[{names}]",
+        f"keep_curves={spec.keep_curves}",
+        *([f"gradients={list(spec.gradients)!r}"] if spec.gradients else []),
+    ]
     return f"vj.parameter_map({', '.join(parts)})"
 
 
-def settings_in(path: Any, found: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings of a store. Raises `ValueError` where they cannot be read."""
+def settings_in(path: Any, found: dict[str, Any]) -> tuple[dict[str, Any], tuple[int, ...]]:
+    """Return the settings of a store, and the lengths of its blocks.
+
+    Raises `ValueError` where they cannot be read.
+    """
     try:
-        made = json.loads(found["vibrojax_map"])
-    except (ValueError, TypeError, RecursionError):
-        made = None
-    if not isinstance(made, dict):
+        made, block = dict(json.loads(found["vibrojax_map"])), tuple(json.loads(found["block"]))
+    except (ValueError, TypeError, KeyError, RecursionError):
         raise ValueError(
-            f"store: {str(path)!r} is damaged: the settings in its zarr.json cannot be read. "
-            "Remove that file, and the same call restores it from its copy, or give another path."
-        )
-    return made
+            f"store: {str(path)!r} is damaged: neither its zarr.json nor the copy of it can be "
+            "read. Give another path."
+        ) from None
+    return made, block
 
 
 def check_same(path: Any, made: dict[str, Any], settings: dict[str, Any]) -> None:
@@ -203,19 +197,11 @@ def _difference(made: Any, asked: Any) -> str:
     if isinstance(made, list) and isinstance(asked, list):
         k = next(i for i, (a, b) in enumerate(zip(made, asked, strict=True)) if a != b)
         return f"value {k + 1} is {made[k]!r} there, {asked[k]!r} now"
-    there, now = _shown(made), _shown(asked)
-    if max(len(there), len(now)) > LONGEST:  # where they part
-        pairs = enumerate(zip(there, now, strict=False))
-        same = next((k for k, (a, b) in pairs if a != b), min(len(there), len(now)))
-        there, now = _around(there, same), _around(now, same)
-    return f"{there} there, {now} now"
-
-
-def _shown(value: Any) -> str:
-    return "nothing" if value is None else repr(value)
-
-
-def _around(text: str, place: int) -> str:
-    first = max(0, place - LONGEST // 4)
-    last = first + LONGEST
-    return f"{'...' if first else ''}{text[first:last]}{'...' if last < len(text) else ''}"
+    texts = ["nothing" if value is None else repr(value) for value in (made, asked)]
+    if max(map(len, texts)) > LONGEST:  # where they part
+        same = len(os.path.commonprefix(texts))  # noqa: RUF071 (of letters)
+        first = max(0, same - LONGEST // 4)
+        ends = ["..." * (len(text) > first + LONGEST) for text in texts]
+        parts = (text[first : first + LONGEST] for text in texts)
+        texts = [f"{'...' * (first > 0)}{p}{e}" for p, e in zip(parts, ends, strict=True)]
+    return f"{texts[0]} there, {texts[1]} now"

@@ -1,5 +1,6 @@
 """The variables of a map before they are computed: names, dimensions, kinds, units."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +18,8 @@ FAILED, MISSING = 3, 4
 class Described(NamedTuple):
     """One variable of the dataset."""
 
-    dims: tuple[str, ...]
-    shape: tuple[int, ...]
+    inner: dict[str, int]
+    """Lengths of its dimensions behind those of the lanes, by name."""
     dtype: np.dtype
     attributes: dict[str, Any]
 
@@ -47,26 +48,24 @@ def template_of(
     ratio_units: str,
 ) -> Template:
     """Lay out the dataset of a map."""
-    outer = tuple(d.name for d in dimensions)
-    lanes = tuple(d.size for d in dimensions)
-    way, ways = response.ways()
-    unit = axis_unit(grid.axis)
+    layout = response.layout
+    way, ways = layout.way, layout.ways
+    inner = ({way: len(ways)} if ways else {}) | (
+        {} if grid.single else {grid.axis: len(grid.values)}
+    )
+    axis = axis_unit(grid.axis)
+    ratio_axis = " ".join(unit for unit in (ratio_units, axis) if unit != "1") or "1"
+    units = {"ratio": ratio_units, "axis": axis, "ratio axis": ratio_axis}
     coordinates: dict[str, Any] = {}
     for d in dimensions:
         for name, values in d.values.items():
             about = axis_description(name) if values.dtype.kind in "fiu" else {}
             coordinates[name] = ((d.name,), values, about)
     if ways:
-        about = {
-            "long_name": "Direction of the sweep" if way == "direction" else "Along the branch"
-        }
-        coordinates[way] = ((way,), np.array(ways), about)
-    frequencies = grid.values[0] if grid.single else grid.values
-    inner_axis = () if grid.single else (grid.axis,)
-    coordinates[grid.axis] = (inner_axis, frequencies, axis_description(grid.axis))
-    inner = ((way,) if ways else ()) + inner_axis
-    sizes = ((len(ways),) if ways else ()) + (() if grid.single else (len(grid.values),))
-    units = {"ratio": ratio_units, "axis": unit, "ratio axis": _product(ratio_units, unit)}
+        words = "Direction of the sweep" if way == "direction" else "Along the branch"
+        coordinates[way] = ((way,), np.array(ways), {"long_name": words})
+    frequencies = ((), grid.values[0]) if grid.single else ((grid.axis,), grid.values)
+    coordinates[grid.axis] = (*frequencies, axis_description(grid.axis))
 
     def described(name: str) -> dict[str, Any]:
         known = described_statistic(name)
@@ -74,45 +73,40 @@ def template_of(
 
     variables: dict[str, Described] = {}
 
-    def add(name: str, dims: Any, shape: Any, dtype: Any, attributes: dict[str, Any]) -> None:
-        variables[name] = Described(outer + dims, lanes + shape, np.dtype(dtype), attributes)
+    def add(name: str, behind: dict[str, int], attributes: dict[str, Any], dtype: Any) -> None:
+        variables[name] = Described(behind, np.dtype(dtype), attributes)
 
-    def derivatives(name: str, dims: Any, shape: Any) -> None:
+    def add_slopes(name: str, behind: dict[str, int]) -> None:
         own = described(name)
         for number in gradients:
             attributes = {
                 "units": _per(own["units"], axis_unit(number)),
                 "long_name": f"Derivative of {own['long_name'].lower()} by {number}",
             }
-            add(f"d_{name}_d_{number}", dims, shape, float, attributes)
+            add(f"d_{name}_d_{number}", behind, attributes, float)
 
     if keep_curves:
-        for name in response.variables:
-            attributes = described(name)
-            if name == "status":
-                attributes |= _flags(response.point_words)
-            if name == "regime":
-                attributes |= _flags(tuple(kind.name for kind in Regime))
-            more = [response.behind[name]] if name in response.behind else []
-            for dimension, length in more:
+        flags = {"status": layout.point_words, "regime": [kind.name for kind in Regime]}
+        for name in layout.variables:
+            attributes = described(name) | (_flags(flags[name]) if name in flags else {})
+            behind = dict([layout.behind[name]] if name in layout.behind else [])
+            for dimension, length in behind.items():
                 about = described(dimension)
                 coordinates[dimension] = ((dimension,), np.arange(length), about)
-            dims = (*inner, *(dimension for dimension, _ in more))
-            shape = (*sizes, *(length for _, length in more))
-            add(name, dims, shape, np.int32 if name in WHOLE else float, attributes)
+            add(name, inner | behind, attributes, np.int32 if name in WHOLE else float)
         for name in DIFFERENTIATED:
-            if name in response.variables:
-                derivatives(name, inner, sizes)
+            if name in layout.variables:
+                add_slopes(name, inner)
     for measure in measures:
         several = measure.own and measure.name in PLACED
-        dims, shape = ((f"{measure.name}_number",), (PLACES,)) if several else ((), ())
-        add(measure.name, dims, shape, float, described(measure.name))
+        behind = {f"{measure.name}_number": PLACES} if several else {}
+        add(measure.name, behind, described(measure.name), float)
         if not (measure.own and measure.name in STEPWISE):
-            derivatives(measure.name, dims, shape)
-    add("lane_steps", (), (), np.int64, described("lane_steps"))
-    words = (*response.lane_words, "failed", "missing")
-    add("lane_status", (), (), np.int8, described("lane_status") | _flags(words))
-    return Template(coordinates, variables, outer)
+            add_slopes(measure.name, behind)
+    add("lane_steps", {}, described("lane_steps"), np.int64)
+    ends = _flags((*layout.lane_words, "failed", "missing"))
+    add("lane_status", {}, described("lane_status") | ends, np.int8)
+    return Template(coordinates, variables, tuple(d.name for d in dimensions))
 
 
 DIFFERENTIATED = (
@@ -126,12 +120,8 @@ DIFFERENTIATED = (
 """Variables over the frequency that have derivatives."""
 
 
-def _flags(words: tuple[str, ...]) -> dict[str, Any]:
+def _flags(words: Sequence[str]) -> dict[str, Any]:
     return {"flag_values": list(range(len(words))), "flag_meanings": " ".join(words)}
-
-
-def _product(first: str, second: str) -> str:
-    return " ".join(unit for unit in (first, second) if unit != "1") or "1"
 
 
 def _per(unit: str, other: str) -> str:

@@ -11,9 +11,9 @@ from vibrojax.maps.chunks import Block, Chunks
 from vibrojax.maps.gradients import Slopes, curve_slopes, fold_slopes, measure_slopes
 from vibrojax.maps.measures import Measure, measure_lanes
 from vibrojax.maps.responses import AbstractMapResponse, Computed, Grid
-from vibrojax.maps.rig_maker import TOGETHER, RigMaker
+from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.template import Template
-from vibrojax.stepping.choice import choose_method
+from vibrojax.stepping.choice import choose_stepper
 from vibrojax.stepping.linearly_implicit import LinearlyImplicit
 
 GRADIENT_TOLERANCE = 1e-6
@@ -51,8 +51,7 @@ class MapWork:
     def __init__(self, spec: MapSpec):
         self.spec = spec
         self.maker = RigMaker(spec.make, spec.arguments)
-        lanes = TOGETHER if self.maker.traced else 1
-        self.together = max(1, lanes // spec.chunks.lanes_per_block)
+        self.together = self.maker.together(spec.chunks.lanes_per_block)
         self.some_rigs = functools.lru_cache(16)(self._some_rigs)
 
     def compute(self, number: int) -> tuple[Block, dict[str, np.ndarray]]:
@@ -64,8 +63,7 @@ class MapWork:
         inside = block.inside
         found = {}
         for name, described in spec.template.variables.items():
-            inner = described.shape[len(spec.template.outer) :]
-            own = values[name][inside].reshape((*block.shape, *inner))
+            own = values[name][inside].reshape((*block.shape, *described.inner.values()))
             found[name] = own.astype(described.dtype)
         return block, found
 
@@ -97,7 +95,7 @@ class MapWork:
 
     def _without_ways(self, curves: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Drop the axis of the ways where there is but one without a name."""
-        _, ways = self.spec.response.ways()
+        ways = self.spec.response.layout.ways
         return dict(curves) if ways else {n: a[:, 0] for n, a in curves.items()}
 
     def _derivatives(
@@ -105,11 +103,11 @@ class MapWork:
     ) -> dict[str, np.ndarray]:
         spec = self.spec
         sample = self.maker.sample(tuple(int(i[0]) for i in block.indices))
-        method = spec.response.march_method(sample, spec.grid)
-        if not isinstance(method, LinearlyImplicit):  # whose orbits are those of their own steps
-            method = choose_method(sample, None, GRADIENT_TOLERANCE, None)
+        stepper = spec.response.march_stepper(sample, spec.grid)
+        if not isinstance(stepper, LinearlyImplicit):  # whose orbits are those of their own steps
+            stepper = choose_stepper(sample, None, GRADIENT_TOLERANCE, None)
         names = spec.gradients
-        at_points = curve_slopes(self.maker, block.indices, names, spec.grid, method, computed)
+        at_points = curve_slopes(self.maker, block.indices, names, spec.grid, stepper, computed)
         at_folds = fold_slopes(self.maker, block.indices, names, spec.grid.axis, computed)
         slopes: Slopes = {}
         for name in names:

@@ -14,53 +14,35 @@ class Unit(NamedTuple):
     factor: float
 
 
-UNITS = {
-    "Hz": Unit("frequency", 1.0),
-    "kHz": Unit("frequency", 1e3),
-    "rad/s": Unit("frequency", 1 / (2 * np.pi)),
-    "rpm": Unit("frequency", 1 / 60),
-    "ratio": Unit("ratio", 1.0),
-    "m": Unit("displacement", 1.0),
-    "mm": Unit("displacement", 1e-3),
-    "um": Unit("displacement", 1e-6),
-    "m/s": Unit("velocity", 1.0),
-    "mm/s": Unit("velocity", 1e-3),
-    "m/s2": Unit("acceleration", 1.0),
-    "g": Unit("acceleration", 9.80665),
-    "N": Unit("force", 1.0),
-    "mN": Unit("force", 1e-3),
-    "kN": Unit("force", 1e3),
-    "s": Unit("time", 1.0),
-    "ms": Unit("time", 1e-3),
-    "us": Unit("time", 1e-6),
-    "rad": Unit("angle", 1.0),
-    "deg": Unit("angle", np.pi / 180),
-    "relative": Unit("relative", 1.0),
-    "%": Unit("relative", 1e-2),
+_FACTORS = {
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "rad/s": 1 / (2 * np.pi), "rpm": 1 / 60},
+    "ratio": {"ratio": 1.0},
+    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
+    "velocity": {"m/s": 1.0, "mm/s": 1e-3},
+    "acceleration": {"m/s2": 1.0, "g": 9.80665},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "angle": {"rad": 1.0, "deg": np.pi / 180},
+    "relative": {"relative": 1.0, "%": 1e-2},
 }
+UNITS = {name: Unit(kind, factor) for kind, own in _FACTORS.items() for name, factor in own.items()}
 """Units by name; frequencies become Hz, all others SI."""
 
 _SPELLED = {
-    "1": "ratio",
-    "-": "ratio",
-    "": "ratio",
-    "m/m": "ratio",
-    "m/n": "ratio",  # what our own datasets say of a displacement over a force amplitude
-    "micron": "um",
-    "m/s^2": "m/s2",
-    "m/s**2": "m/s2",
-    "ms-2": "m/s2",
-    "m s-2": "m/s2",
-    "rad/sec": "rad/s",
-    "1/min": "rpm",
-    "sec": "s",
-    "seconds": "s",
-    "radians": "rad",
-    "degrees": "deg",
-    "°": "deg",
-    "percent": "%",
+    # m/n is what our own datasets say of a displacement over a force amplitude
+    "ratio": ("1", "-", "", "m/m", "m/n"),
+    "um": ("micron",),
+    "m/s2": ("m/s^2", "m/s**2", "ms-2", "m s-2"),
+    "rad/s": ("rad/sec",),
+    "rpm": ("1/min",),
+    "s": ("sec", "seconds"),
+    "rad": ("radians",),
+    "deg": ("degrees", "°"),
+    "%": ("percent",),
 }
-_BY_SPELLING = {name.lower(): name for name in UNITS} | _SPELLED
+_BY_SPELLING = {name.lower(): name for name in UNITS} | {
+    spelling: name for name, spellings in _SPELLED.items() for spelling in spellings
+}
 _AS_SUFFIX = {name.lower() for name in UNITS if name not in ("relative", "%")} | {"m/s^2"}
 
 
@@ -102,17 +84,17 @@ class Header(NamedTuple):
 def split_header(header: str) -> Header:
     """Take a header like `frequency [Hz]`, `f_Hz`, `tip/mm` or `rms_ratio` apart."""
     # Re(H) is a part of H, not "Re" in a unit H.
-    name, unit = re.sub(_PART_OF, r"\1 \2", header.strip()), None
+    name = re.sub(_PART_OF, r"\1 \2", header.strip())
     bracket = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]", name)
-    slash = name.partition("/")
+    head, _, tail = name.replace(" ", "_").rpartition("_")
+    before, _, after = name.partition("/")
+    unit = None
     if bracket:
         name, unit = bracket[1], bracket[2]
-    else:
-        head, _, tail = name.replace(" ", "_").rpartition("_")
-        if head and _is_suffix(tail):
-            name, unit = head, tail
-        elif slash[2] and _is_suffix(slash[2]):
-            name, unit = slash[0], slash[2]
+    elif head and _is_suffix(tail):
+        name, unit = head, tail
+    elif after and _is_suffix(after):
+        name, unit = before, after
     return Header("".join(re.findall(r"[a-z0-9]+", name.lower())), unit)
 
 

@@ -16,14 +16,15 @@ from vibrojax._tools.checks import (
 from vibrojax._tools.described import described
 from vibrojax._tools.signatures import validated
 
+Values = Float[Array, "..."]
+Number = float | Values
+
 
 class AbstractWaveform(eqx.Module):
     """A drive in time: its phase (rad) and the two derivatives of it."""
 
     @abstractmethod
-    def phase(
-        self, time: Float[Array, "..."]
-    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
+    def phase(self, time: Values) -> tuple[Values, Values, Values]:
         """Return the phase (rad), its rate (rad/s) and the rate of that (rad/s2) at `time` (s)."""
 
     def __repr__(self) -> str:
@@ -34,16 +35,14 @@ class AbstractWaveform(eqx.Module):
 class Harmonic(AbstractWaveform):
     """sin(2 pi frequency t). Raises `ValueError` unless the frequency (Hz) is above 0."""
 
-    frequency: float | Float[Array, "..."] = number_field("Hz")
+    frequency: Number = number_field("Hz")
     """Drive frequency, Hz."""
 
     def __check_init__(self) -> None:
         """Refuse concrete values that are not a frequency."""
         check_positive("frequency", self.frequency, "Hz")
 
-    def phase(
-        self, time: Float[Array, "..."]
-    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
+    def phase(self, time: Values) -> tuple[Values, Values, Values]:
         """Return the phase (rad) and its first two derivatives."""
         rate = 2 * jnp.pi * jnp.asarray(self.frequency)
         return rate * time, rate * jnp.ones_like(time), jnp.zeros_like(time)
@@ -57,11 +56,11 @@ class Chirp(AbstractWaveform):
     is `linear` or `logarithmic`.
     """
 
-    start: float | Float[Array, "..."] = number_field("Hz")
+    start: Number = number_field("Hz")
     """Frequency at time 0, Hz."""
-    end: float | Float[Array, "..."] = number_field("Hz")
+    end: Number = number_field("Hz")
     """Frequency at the end, Hz."""
-    duration: float | Float[Array, "..."] = number_field("s")
+    duration: Number = number_field("s")
     """Time from start to end, s."""
     kind: str = eqx.field(static=True, default="linear")
     """`linear` or `logarithmic` change of frequency with time."""
@@ -73,9 +72,7 @@ class Chirp(AbstractWaveform):
         check_positive("duration", self.duration, "s")
         check_choice("kind", self.kind, ("linear", "logarithmic"))
 
-    def phase(
-        self, time: Float[Array, "..."]
-    ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
+    def phase(self, time: Values) -> tuple[Values, Values, Values]:
         """Return the phase (rad) and its first two derivatives."""
         start, end = 2 * jnp.pi * jnp.asarray(self.start), 2 * jnp.pi * jnp.asarray(self.end)
         running = jnp.clip(time, 0.0, self.duration)
@@ -100,9 +97,7 @@ class AbstractDrive(eqx.Module):
     """Where a drive acts and how strongly; the waveform is given with the run."""
 
     @abstractmethod
-    def complex_amplitude(
-        self, rate: Float[Array, "..."], second: Float[Array, "..."]
-    ) -> Complex[Array, "..."]:
+    def complex_amplitude(self, rate: Values, second: Values) -> Complex[Array, "..."]:
         """Return A such that the input is Im(A exp(i phase)), from the phase's derivatives.
 
         `rate` is the angular frequency (rad/s), `second` its rate of change (rad/s2). The input is
@@ -114,7 +109,7 @@ class AbstractDrive(eqx.Module):
     def reference(self) -> tuple[ArrayLike, str]:
         """Amplitude by which responses are divided, and the unit of a displacement over it."""
 
-    def input(self, waveform: AbstractWaveform, time: Float[Array, "..."]) -> Float[Array, "..."]:
+    def input(self, waveform: AbstractWaveform, time: Values) -> Values:
         """Return the input at `time` (s): base acceleration with its sign changed, or force.
 
         `waveform` gives the phase at any time.
@@ -134,16 +129,14 @@ class BaseMotion(AbstractDrive):
     Source: Gandhi and Vyas 2017, sec. 2.1. Raises `ValueError` for a negative amplitude.
     """
 
-    amplitude: float | Float[Array, "..."] = number_field("m")
+    amplitude: Number = number_field("m")
     """Displacement amplitude sigma of the base, m."""
 
     def __check_init__(self) -> None:
         """Refuse concrete values that are not an amplitude."""
         check_not_negative("amplitude", self.amplitude, "m")
 
-    def complex_amplitude(
-        self, rate: Float[Array, "..."], second: Float[Array, "..."]
-    ) -> Complex[Array, "..."]:
+    def complex_amplitude(self, rate: Values, second: Values) -> Complex[Array, "..."]:
         """Return sigma (rate^2 - i second): minus the base acceleration, m/s2."""
         return self.amplitude * (rate**2 - 1j * second)
 
@@ -160,9 +153,9 @@ class PointForce(AbstractDrive):
     Raises `ValueError` for a negative amplitude or a position outside (0, 1].
     """
 
-    amplitude: float | Float[Array, "..."] = number_field("N")
+    amplitude: Number = number_field("N")
     """Force amplitude, N."""
-    position: float | Float[Array, "..."] = number_field(default=1.0)
+    position: Number = number_field(default=1.0)
     """Place along the beam, x/L."""
 
     def __check_init__(self) -> None:
@@ -170,9 +163,7 @@ class PointForce(AbstractDrive):
         check_not_negative("amplitude", self.amplitude, "N")
         check_position("position", self.position)
 
-    def complex_amplitude(
-        self, rate: Float[Array, "..."], second: Float[Array, "..."]
-    ) -> Complex[Array, "..."]:
+    def complex_amplitude(self, rate: Values, second: Values) -> Complex[Array, "..."]:
         """Return the force amplitude, N."""
         return (self.amplitude + 0j) * jnp.ones_like(rate)
 
@@ -186,9 +177,7 @@ class PointForce(AbstractDrive):
 class NoDrive(AbstractDrive):
     """Nothing drives the system: free motion."""
 
-    def complex_amplitude(
-        self, rate: Float[Array, "..."], second: Float[Array, "..."]
-    ) -> Complex[Array, "..."]:
+    def complex_amplitude(self, rate: Values, second: Values) -> Complex[Array, "..."]:
         """Return zero."""
         return jnp.zeros_like(rate) + 0j
 

@@ -14,12 +14,18 @@ masses are in units of rho A0 L. "Masses" have one entry per knot, that of the t
 from functools import lru_cache
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
+
+from vibrojax._tools.compiled import compiled
+
+Scalar = Float[Array, ""]
+Knots = Float[Array, " knots"]
+PerMode = Float[Array, " modes"]
+Points = Float[Array, " points"]
 
 _TERMS = 40  # 1e-17 of the sum, or less, for taper up to 0.99 and every mode
 _SHORT = 1e-7  # of a segment: dividing by its cube would cost the derivatives too many digits
@@ -35,12 +41,12 @@ _FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0])
 class Shapes(NamedTuple):
     """Mode shapes as one power series in t = (s - knot)/(segment length) per segment."""
 
-    beta: Float[Array, " modes"]
-    knots: Float[Array, " knots"]
+    beta: PerMode
+    knots: Knots
     coefficients: Float[Array, "modes segments terms"]
-    area_integral_of_square: Float[Array, " modes"]
-    area_integral: Float[Array, " modes"]
-    masses: Float[Array, " knots"]
+    area_integral_of_square: PerMode
+    area_integral: PerMode
+    masses: Knots
     at_knots: Float[Array, "modes knots"]
 
 
@@ -49,7 +55,7 @@ def num_segments(num_modes: int) -> int:
     return max(10, 2 * num_modes)
 
 
-def _joints(taper: Float[Array, ""], segments: int) -> Float[Array, " joints"]:
+def _joints(taper: Scalar, segments: int) -> Float[Array, " joints"]:
     """Joints of the segments, uniform in log u: every series then converges equally fast."""
     taper = jax.lax.stop_gradient(taper)  # the answer does not depend on where the joints are
     xi = np.linspace(0.0, 1.0, segments + 1)
@@ -60,11 +66,8 @@ def _joints(taper: Float[Array, ""], segments: int) -> Float[Array, " joints"]:
 
 
 def _place(
-    joints: Float[Array, " joints"],
-    mass_ratio: Float[Array, ""],
-    point_masses: Float[Array, " points"],
-    positions: Float[Array, " points"],
-) -> tuple[Float[Array, " knots"], Float[Array, " knots"]]:
+    joints: Float[Array, " joints"], mass_ratio: Scalar, point_masses: Points, positions: Points
+) -> tuple[Knots, Knots]:
     """Knots, one of them at every point mass, and the mass at each.
 
     Only the positions of masses carry a gradient, right also where one meets a joint or another.
@@ -79,9 +82,7 @@ def _place(
 
 
 def add_masses(
-    integral: Float[Array, "*modes"],
-    masses: Float[Array, " knots"],
-    values: Float[Array, "*modes knots"],
+    integral: Float[Array, "*modes"], masses: Knots, values: Float[Array, "*modes knots"]
 ) -> Float[Array, "*modes"]:
     """Integral over beam and masses, from that over the beam and the values at the knots."""
     inner = jnp.sum(masses[:-1] * values[..., :-1], axis=-1)
@@ -89,7 +90,7 @@ def add_masses(
 
 
 def _series(
-    beta: Float[Array, ""], taper: Float[Array, ""], knots: Float[Array, " knots"]
+    beta: Scalar, taper: Scalar, knots: Knots
 ) -> tuple[Float[Array, "terms segments 4"], Float[Array, "segments 4"]]:
     """Coefficients, in powers of t, of the four solutions that start from a unit state.
 
@@ -126,9 +127,7 @@ def _orthonormal(v: Float[Array, "4 2"]) -> tuple[Float[Array, "4 2"], Float[Arr
     return jnp.stack([q1, rest / r22], axis=1), jnp.stack([r11, r12, r22])
 
 
-def _short_transfer(
-    beta: Float[Array, ""], taper: Float[Array, ""], knots: Float[Array, " knots"]
-) -> Float[Array, "segments 4 4"]:
+def _short_transfer(beta: Scalar, taper: Scalar, knots: Knots) -> Float[Array, "segments 4 4"]:
     """Transfer over segments so short, or of no length, that two terms of it are exact.
 
     At no length it is the identity, but its derivative with respect to the length is not zero.
@@ -150,12 +149,7 @@ class _March(NamedTuple):
     end: Float[Array, "2 2"]
 
 
-def _march(
-    beta: Float[Array, ""],
-    taper: Float[Array, ""],
-    masses: Float[Array, " knots"],
-    knots: Float[Array, " knots"],
-) -> _March:
+def _march(beta: Scalar, taper: Scalar, masses: Knots, knots: Knots) -> _March:
     """Carry the clamped solutions to the tip; `end` holds the two conditions there (eq. 16)."""
     series, scale = _series(beta, taper, knots)
     short = (jnp.diff(knots) < _SHORT)[:, None, None]
@@ -177,7 +171,7 @@ def _march(
     return _March(series, bases, triangles, jnp.stack([tip[2], shear]))
 
 
-def _frequency_equation(beta, args) -> Float[Array, ""]:
+def _frequency_equation(beta, args) -> Scalar:
     end = _march(beta, *args).end
     return end[0, 0] * end[1, 1] - end[0, 1] * end[1, 0]
 
@@ -203,7 +197,7 @@ def _ritz_basis(size: int) -> tuple[np.ndarray, ...]:
     return (1 + x) / 2, mass, mass_s, legendre.legval(1.0, twice), twice
 
 
-def _legendre(x: Float[Array, " points"], number: int) -> Float[Array, "number points"]:
+def _legendre(x: Points, number: int) -> Float[Array, "number points"]:
     """Values of the first Legendre polynomials."""
 
     def following(last, k):
@@ -213,9 +207,7 @@ def _legendre(x: Float[Array, " points"], number: int) -> Float[Array, "number p
     return values
 
 
-def _flexibility(
-    taper: Float[Array, ""], positions: Float[Array, " points"], knots: Float[Array, " knots"]
-) -> Float[Array, "points points"]:
+def _flexibility(taper: Scalar, positions: Points, knots: Knots) -> Float[Array, "points points"]:
     """Static deflection at every position by a unit force at every other; each is a knot."""
     node, weight = (1 + _QUADRATURE[0]) / 2, _QUADRATURE[1] / 2
     h = jnp.diff(knots)[:, None]
@@ -225,13 +217,13 @@ def _flexibility(
 
 
 def _start(
-    taper: Float[Array, ""],
-    mass_ratio: Float[Array, ""],
-    point_masses: Float[Array, " points"],
-    positions: Float[Array, " points"],
-    knots: Float[Array, " knots"],
+    taper: Scalar,
+    mass_ratio: Scalar,
+    point_masses: Points,
+    positions: Points,
+    knots: Knots,
     num_modes: int,
-) -> Float[Array, " modes"]:
+) -> PerMode:
     """All wanted beta, none missed, by Rayleigh-Ritz: only a start, so no gradient.
 
     Polynomials bend slowly to the kink that a point mass makes in phi''. So the static deflections
@@ -255,40 +247,29 @@ def _start(
     return jnp.linalg.eigvalsh(matrix)[::-1][:num_modes] ** -0.25
 
 
-def _roots(
-    start: Float[Array, " modes"],
-    taper: Float[Array, ""],
-    masses: Float[Array, " knots"],
-    knots: Float[Array, " knots"],
-) -> Float[Array, " modes"]:
+def _roots(start: PerMode, taper: Scalar, masses: Knots, knots: Knots) -> PerMode:
     """Solve the frequency equation by Newton; the derivative is that of the implicit function."""
     # Newton is quadratic: a last step of this size leaves only rounding.
     tolerance = float(jnp.finfo(start.dtype).eps) ** 0.6
     newton = optx.Newton(rtol=tolerance, atol=tolerance)
 
-    def polish(beta):
-        solution = optx.root_find(
-            _frequency_equation,
-            newton,
-            beta,
-            args=(taper, masses, knots),
-            max_steps=16,
-            throw=False,
-        )
+    def equation(beta):
+        return _frequency_equation(beta, (taper, masses, knots))
+
+    def solve(_, beta):
+        found = optx.root_find(lambda b, _: equation(b), newton, beta, max_steps=16, throw=False)
         # A lane that fails must not look like an answer, nor stop the other lanes.
-        return jnp.where(solution.result == optx.RESULTS.successful, solution.value, jnp.nan)
+        return jnp.where(found.result == optx.RESULTS.successful, found.value, jnp.nan)
+
+    def polish(beta):
+        return jax.lax.custom_root(equation, beta, solve, lambda g, y: y / g(jnp.ones_like(y)))
 
     return jax.vmap(polish)(start)
 
 
 def _assemble(
-    beta: Float[Array, ""],
-    taper: Float[Array, ""],
-    masses: Float[Array, " knots"],
-    knots: Float[Array, " knots"],
-) -> tuple[
-    Float[Array, "segments terms"], Float[Array, ""], Float[Array, ""], Float[Array, " knots"]
-]:
+    beta: Scalar, taper: Scalar, masses: Knots, knots: Knots
+) -> tuple[Float[Array, "segments terms"], Scalar, Scalar, Knots]:
     """Shape of one mode, mass-normalised, with int u phi^2, int u phi and phi at the knots."""
     march = _march(beta, taper, masses, knots)
     # Both rows of `end` are orthogonal to the answer; the longer one says so more precisely.
@@ -317,13 +298,9 @@ def _assemble(
     return coefficients * norm, square * norm**2, jnp.sum(area * values) * norm, at_knots * norm
 
 
-@eqx.filter_jit
+@compiled
 def solve(
-    taper: Float[Array, ""],
-    mass_ratio: Float[Array, ""],
-    point_masses: Float[Array, " points"],
-    positions: Float[Array, " points"],
-    num_modes: int,
+    taper: Scalar, mass_ratio: Scalar, point_masses: Points, positions: Points, num_modes: int
 ) -> Shapes:
     """First `num_modes` modes, normalised to int u phi^2 ds + sum of mass phi^2 = 1, phi(1) > 0.
 
@@ -339,9 +316,9 @@ def solve(
     return Shapes(beta, knots, coefficients, square, linear, masses, at_knots)
 
 
-@eqx.filter_jit
+@compiled
 def evaluate(
-    knots: Float[Array, " knots"],
+    knots: Knots,
     coefficients: Float[Array, "modes segments terms"],
     s: Float[Array, "*points"],
     derivative: int,

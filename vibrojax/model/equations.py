@@ -16,6 +16,12 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from vibrojax._tools.described import shown_value
 from vibrojax.model.stops import Stop
 
+Coordinates = Float[Array, " coordinates"]
+PerStop = Float[Array, "stops *lanes"]
+Memories = Float[Array, "memories *lanes"]
+OwnMemories = Float[Array, " memories"]
+PerCoordinate = Float[Array, "coordinates *lanes"]
+
 
 class AbstractEquations(eqx.Module):
     """The equations of motion of one lane; no batch axis.
@@ -58,11 +64,7 @@ class AbstractEquations(eqx.Module):
 
     def split(
         self, state: Float[Array, "states *lanes"]
-    ) -> tuple[
-        Float[Array, "coordinates *lanes"],
-        Float[Array, "coordinates *lanes"],
-        Float[Array, "memories *lanes"],
-    ]:
+    ) -> tuple[PerCoordinate, PerCoordinate, Memories]:
         """Return q, q' and the memories of the stops.
 
         `state` has the shape (states,) and may carry lanes as trailing axes.
@@ -71,99 +73,61 @@ class AbstractEquations(eqx.Module):
         return state[:n], state[n : 2 * n], state[2 * n :]
 
     @abstractmethod
-    def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
-        """Return the mass matrix M(q).
-
-        Shape (coordinates, coordinates); `q` are the coordinates, in `coordinate_units`.
-        """
+    def mass(self, q: Coordinates) -> Float[Array, "coordinates coordinates"]:
+        """Return the mass matrix M(q) at coordinates `q`, in `coordinate_units`."""
 
     @abstractmethod
-    def linear_force(
-        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
-    ) -> Float[Array, " coordinates"]:
-        """Return C q' + K q.
-
-        Shape (coordinates,); `q` are the coordinates, `rate` their velocities q'.
-        """
+    def linear_force(self, q: Coordinates, rate: Coordinates) -> Coordinates:
+        """Return C q' + K q; `q` are the coordinates, `rate` their velocities q'."""
 
     @abstractmethod
-    def smooth_force(
-        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
-    ) -> Float[Array, " coordinates"]:
-        """Return f(q, q'), the smooth nonlinear force (zero for a linear system).
-
-        Shape (coordinates,); `q` are the coordinates, `rate` their velocities q'.
-        """
+    def smooth_force(self, q: Coordinates, rate: Coordinates) -> Coordinates:
+        """Return the smooth nonlinear force f(q, q') at `q` and `rate`; 0 for a linear system."""
 
     @abstractmethod
-    def input(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
-        """Return B(q), the generalised force of a unit input.
-
-        Shape (coordinates,); `q` are the coordinates.
-        """
+    def input(self, q: Coordinates) -> Coordinates:
+        """Return B(q), the generalised force of a unit input at coordinates `q`."""
 
     @abstractmethod
-    def penetration(self, q: Float[Array, " coordinates"]) -> Float[Array, " stops"]:
-        """Return how deep the body is in each stop, m; negative out of contact.
-
-        Shape (stops,); `q` are the coordinates.
-        """
+    def penetration(self, q: Coordinates) -> Float[Array, " stops"]:
+        """Return how deep the body at `q` is in each stop, m; negative out of contact."""
 
     @abstractmethod
-    def response(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
-        """Return the displacement that a frequency response reports, m (the tip, say).
-
-        `q` are the coordinates, shape (coordinates,).
-        """
+    def response(self, q: Coordinates) -> Float[Array, ""]:
+        """Return the displacement at `q` that a frequency response reports, m (the tip, say)."""
 
     @property
     def coordinate_units(self) -> str:
         """Unit of the coordinates."""
         return "m"
 
-    def observables(self, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
-        """Return what can be watched of a motion, by name, in SI units.
+    def observables(self, q: Coordinates) -> dict[str, Float[Array, ""]]:
+        """Return what can be watched of a motion at `q`, by name, in SI units.
 
         `displacement` (the response) and `strain_energy` of every system, and what else it has.
-
-        `q` are the coordinates, shape (coordinates,).
         """
         return {"displacement": self.response(q), "strain_energy": self.strain_energy(q)}
 
-    def strain_energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
-        """Return q' K q / 2, J.
-
-        `q` are the coordinates, shape (coordinates,).
-        """
+    def strain_energy(self, q: Coordinates) -> Float[Array, ""]:
+        """Return the strain energy K q . q / 2 of the coordinates `q`, J."""
         return q @ self.linear_force(q, jnp.zeros_like(q)) / 2
 
-    def mass_times(
-        self, q: Float[Array, " coordinates"], vector: Float[Array, " coordinates"]
-    ) -> Float[Array, " coordinates"]:
+    def mass_times(self, q: Coordinates, vector: Coordinates) -> Coordinates:
         """Return M(q) times a vector; a system may do it without forming M."""
         return self.mass(q) @ vector
 
     def contact_forces(
-        self,
-        q: Float[Array, " coordinates"],
-        rate: Float[Array, " coordinates"],
-        memory: Float[Array, " memories"] | None = None,
+        self, q: Coordinates, rate: Coordinates, memory: OwnMemories | None = None
     ) -> Float[Array, " stops"]:
         """Return the rounded force of each stop, N, positive when it pushes the body off.
 
-        Without `memory`, stops that have one were at rest before.
-
-        `q` are the coordinates, `rate` their velocities q', each of shape (coordinates,).
+        `q` are the coordinates, `rate` their velocities q'; without `memory`, stops that have one
+        were at rest before.
         """
         depth, depth_rate = jax.jvp(self.penetration, (q,), (rate,))
         return stop_forces(self.stops, depth, depth_rate, memory)
 
-    def memory_rates(
-        self,
-        q: Float[Array, " coordinates"],
-        rate: Float[Array, " coordinates"],
-        memory: Float[Array, " memories"],
-    ) -> Float[Array, " memories"]:
+    def memory_rates(self, q: Coordinates, rate: Coordinates, memory: OwnMemories) -> OwnMemories:
         """Return how fast the memories of the stops change, per s.
 
         `q` are the coordinates, `rate` their velocities q', `memory` the internal states.
@@ -173,16 +137,15 @@ class AbstractEquations(eqx.Module):
 
     def acceleration(
         self,
-        q: Float[Array, " coordinates"],
-        rate: Float[Array, " coordinates"],
+        q: Coordinates,
+        rate: Coordinates,
         drive_input: Float[ArrayLike, ""],
-        memory: Float[Array, " memories"] | None = None,
-    ) -> Float[Array, " coordinates"]:
+        memory: OwnMemories | None = None,
+    ) -> Coordinates:
         """Solve the equation of motion for q''.
 
-        `q` are the coordinates, `rate` their velocities q', `drive_input` is a(t) (m/s2 or
-        N), `memory` the internal states of the stops, at rest without it. Shape
-        (coordinates,).
+        `q` are the coordinates, `rate` their velocities q', `drive_input` is a(t) (m/s2 or N),
+        `memory` the internal states of the stops, at rest without it.
         """
         _, pull_back = jax.vjp(self.penetration, q)
         (contact,) = pull_back(-self.contact_forces(q, rate, memory))
@@ -202,7 +165,7 @@ class AbstractGauge(eqx.Module):
     """Reads what can be watched off modal coordinates, beyond the displacement and the energy."""
 
     @abstractmethod
-    def __call__(self, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
+    def __call__(self, q: Coordinates) -> dict[str, Float[Array, ""]]:
         """Return values by name, in SI units."""
 
 
@@ -216,26 +179,26 @@ class LinearEquations(AbstractEquations):
 
     stops: tuple[Stop, ...]
     """The stops, in the order of the rows of `stop_map`."""
-    angular_frequency: Float[Array, "coordinates *lanes"]
+    angular_frequency: PerCoordinate
     """Natural angular frequencies w_i, rad/s."""
-    damping_ratio: Float[Array, "coordinates *lanes"]
+    damping_ratio: PerCoordinate
     """Damping ratios zeta_i."""
-    input_map: Float[Array, "coordinates *lanes"]
+    input_map: PerCoordinate
     """Modal acceleration of a unit input."""
     stop_map: Float[Array, "stops coordinates *lanes"]
     """Displacement of each stop's contact point towards the stop, by coordinate."""
     force_map: Float[Array, "coordinates stops *lanes"]
     """Modal acceleration of a unit contact force, by stop; the force acts against it."""
-    response_map: Float[Array, "coordinates *lanes"]
+    response_map: PerCoordinate
     """Displacement that a frequency response reports, by coordinate."""
-    modal_mass: Float[Array, "coordinates *lanes"]
+    modal_mass: PerCoordinate
     """Modal masses, kg; weights of the energy."""
     damping_coupling: Float[Array, "coordinates coordinates *lanes"] | None = None
     """Damping beyond 2 zeta_i w_i: deceleration of coordinate i by the rate of j, 1/s.
 
     None where the damping does not couple the modes.
     """
-    stiffness_sign: Float[Array, "coordinates *lanes"] | None = None
+    stiffness_sign: PerCoordinate | None = None
     """-1 for a mode that falls away from rest, whose stiffness is -w_i^2, else 1; None: all 1."""
     gauge: AbstractGauge | None = None
     """What reads further observables off the coordinates."""
@@ -255,48 +218,54 @@ class LinearEquations(AbstractEquations):
         """These equations."""
         return self
 
-    def mass(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates coordinates"]:
+    def mass(self, q: Coordinates) -> Float[Array, "coordinates coordinates"]:
         """Return the diagonal of modal masses."""
         return jnp.diag(self.modal_mass)
 
-    def linear_force(
-        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
-    ) -> Float[Array, " coordinates"]:
+    def linear_force(self, q: Coordinates, rate: Coordinates) -> Coordinates:
         """Return C q' + K q."""
         return self.modal_mass * (self._damping(rate) + self.modal_stiffness * q)
 
     @property
-    def modal_stiffness(self) -> Float[Array, "coordinates *lanes"]:
+    def modal_stiffness(self) -> PerCoordinate:
         """Stiffness over mass of every mode, 1/s2: w_i^2, less than 0 where it falls away."""
         square = self.angular_frequency**2
         return square if self.stiffness_sign is None else self.stiffness_sign * square
 
-    def _damping(self, rate: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+    def _damping(self, rate: Coordinates) -> Coordinates:
         diagonal = 2 * self.damping_ratio * self.angular_frequency * rate
         if self.damping_coupling is None:
             return diagonal
         return diagonal + self.damping_coupling @ rate
 
-    def smooth_force(
-        self, q: Float[Array, " coordinates"], rate: Float[Array, " coordinates"]
-    ) -> Float[Array, " coordinates"]:
+    @property
+    def flight_matrix(self) -> Float[Array, "states states"]:
+        """Matrix A of (q, q'/w_1)' = w_1 A (q, q'/w_1) without contact: states of like size."""
+        unit, eye = self.angular_frequency[0], jnp.eye(self.size)
+        damping = jnp.diag(2 * self.damping_ratio * (self.angular_frequency / unit))
+        if self.damping_coupling is not None:
+            damping = damping + self.damping_coupling / unit
+        stiffness = jnp.diag(self.modal_stiffness / unit**2)
+        return jnp.block([[0 * eye, eye], [-stiffness, -damping]])
+
+    def smooth_force(self, q: Coordinates, rate: Coordinates) -> Coordinates:
         """Return zero: the body is linear."""
         return jnp.zeros_like(q)
 
-    def input(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+    def input(self, q: Coordinates) -> Coordinates:
         """Return the generalised force of a unit input."""
         return self.modal_mass * self.input_map
 
-    def penetration(self, q: Float[Array, " coordinates"]) -> Float[Array, " stops"]:
+    def penetration(self, q: Coordinates) -> Float[Array, " stops"]:
         """Return how deep the body is in each stop, m."""
         gaps = jnp.stack([jnp.asarray(s.gap) for s in self.stops]) if self.stops else 0.0
         return self.stop_map @ q - gaps
 
-    def response(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
+    def response(self, q: Coordinates) -> Float[Array, ""]:
         """Return the reported displacement, m."""
         return self.response_map @ q
 
-    def observables(self, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
+    def observables(self, q: Coordinates) -> dict[str, Float[Array, ""]]:
         """Return what can be watched of a motion, by name, in SI units."""
         seen = super().observables(q)
         return seen if self.gauge is None else seen | self.gauge(q)
@@ -317,11 +286,11 @@ class LinearEquations(AbstractEquations):
 
     def acceleration(
         self,
-        q: Float[Array, " coordinates"],
-        rate: Float[Array, " coordinates"],
+        q: Coordinates,
+        rate: Coordinates,
         drive_input: Float[ArrayLike, ""],
-        memory: Float[Array, " memories"] | None = None,
-    ) -> Float[Array, " coordinates"]:
+        memory: OwnMemories | None = None,
+    ) -> Coordinates:
         """Solve the equation of motion for q'', without forming the diagonal mass matrix."""
         stiffness = self.modal_stiffness * q
         free = self.input_map * drive_input - self._damping(rate) - stiffness
@@ -346,11 +315,8 @@ def contact_slope(stop: Stop) -> Float[Array, "*lanes"]:
 
 
 def stop_forces(
-    stops: tuple[Stop, ...],
-    depth: Float[Array, "stops *lanes"],
-    rate: Float[Array, "stops *lanes"],
-    memory: Float[Array, "memories *lanes"] | None = None,
-) -> Float[Array, "stops *lanes"]:
+    stops: tuple[Stop, ...], depth: PerStop, rate: PerStop, memory: Memories | None = None
+) -> PerStop:
     """Return the rounded force of each stop, N, from depths (m), their rates and memories."""
     kept = memory_by_stop(stops, memory)
     forces = [s.force(depth[i], rate[i], kept[i]) for i, s in enumerate(stops)]
@@ -358,11 +324,8 @@ def stop_forces(
 
 
 def memory_rates(
-    stops: tuple[Stop, ...],
-    depth: Float[Array, "stops *lanes"],
-    rate: Float[Array, "stops *lanes"],
-    memory: Float[Array, "memories *lanes"],
-) -> Float[Array, "memories *lanes"]:
+    stops: tuple[Stop, ...], depth: PerStop, rate: PerStop, memory: Memories
+) -> Memories:
     """Return how fast the memories of the stops change, per s."""
     kept = memory_by_stop(stops, memory)
     rates = [
@@ -374,9 +337,7 @@ def memory_rates(
 
 
 def touching_stops(
-    stops: tuple[Stop, ...],
-    depth: Float[Array, "stops *lanes"],
-    force: Float[Array, "stops *lanes"],
+    stops: tuple[Stop, ...], depth: PerStop, force: PerStop
 ) -> Bool[Array, "stops *lanes"]:
     """Return which stops are touched, from depths (m) and forces (N).
 
@@ -387,7 +348,7 @@ def touching_stops(
 
 
 def memory_by_stop(
-    stops: tuple[Stop, ...], memory: Float[Array, "memories *lanes"] | None
+    stops: tuple[Stop, ...], memory: Memories | None
 ) -> list[Float[Array, "*lanes"] | None]:
     """Return the memory of every stop, None for those without."""
     if memory is None:

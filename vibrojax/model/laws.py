@@ -21,6 +21,9 @@ from vibrojax._tools.checks import (
 from vibrojax._tools.described import described
 from vibrojax._tools.signatures import validated
 
+Values = Float[Array, "..."]
+Number = float | Values
+
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
@@ -28,9 +31,7 @@ class AbstractContactLaw(eqx.Module):
     """Force of a stop on the body as a function of penetration and rate; force(0, 0) is 0."""
 
     @abstractmethod
-    def force(
-        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def force(self, penetration: Values, rate: Values) -> Values:
         """Return the force that resists penetration, N, positive when it pushes the body off.
 
         `penetration` (m) is at least 0 and `rate` (m/s) is its derivative.
@@ -60,44 +61,21 @@ class AbstractMemoryLaw(AbstractContactLaw):
     """
 
     @abstractmethod
-    def force_with_memory(
-        self,
-        penetration: Float[Array, "..."],
-        rate: Float[Array, "..."],
-        memory: Float[Array, "..."],
-    ) -> Float[Array, "..."]:
+    def force_with_memory(self, penetration: Values, rate: Values, memory: Values) -> Values:
         """Return the force that resists penetration, N, positive when it pushes the body off.
 
-        `penetration` (m) is at least 0, `rate` (m/s) its derivative; `memory` is the
-        internal state of the law, in its unit.
+        `penetration` (m) is at least 0, `rate` (m/s) its derivative, `memory` the internal state.
         """
 
     @abstractmethod
-    def memory_rate(
-        self,
-        penetration: Float[Array, "..."],
-        rate: Float[Array, "..."],
-        memory: Float[Array, "..."],
-    ) -> Float[Array, "..."]:
-        """Return the rate of change of the memory, its unit per s.
-
-        `penetration` (m) is at least 0, `rate` (m/s) its derivative; `memory` is the
-        internal state of the law, in its unit.
-        """
+    def memory_rate(self, penetration: Values, rate: Values, memory: Values) -> Values:
+        """Return how fast the `memory` changes, per s, at a `penetration` (m) and `rate` (m/s)."""
 
     @abstractmethod
-    def stored_energy_with_memory(
-        self, penetration: Float[Array, "..."], memory: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
-        """Return the energy that the stop could give back, J.
+    def stored_energy_with_memory(self, penetration: Values, memory: Values) -> Values:
+        """Return the energy that the stop could give back at `penetration` (m) and `memory`, J."""
 
-        `penetration` (m) is at least 0; `memory` is the internal state of the law, in its
-        unit.
-        """
-
-    def force(
-        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def force(self, penetration: Values, rate: Values) -> Values:
         """Return the force of a stop that was at rest before, N."""
         return self.force_with_memory(penetration, rate, jnp.zeros_like(penetration))
 
@@ -113,10 +91,8 @@ def can_pull(law: AbstractContactLaw) -> bool:
 
 
 def stored_energy(
-    law: AbstractContactLaw,
-    penetration: Float[Array, "..."],
-    memory: Float[Array, "..."] | None = None,
-) -> Float[Array, "..."]:
+    law: AbstractContactLaw, penetration: Values, memory: Values | None = None
+) -> Values:
     """Return the energy that a stop could give back, J: the work of the force at rate 0."""
     if isinstance(law, AbstractMemoryLaw):
         memory = jnp.zeros_like(penetration) if memory is None else memory
@@ -131,21 +107,15 @@ def stored_energy(
     return penetration * jnp.sum(force * (_WEIGHTS * (1 + _PLACES) / 2), axis=-1)
 
 
-def _power(penetration: Float[Array, "..."], exponent: ArrayLike) -> Float[Array, "..."]:
+def _power(penetration: Values, exponent: ArrayLike) -> Values:
     """penetration ** exponent, 0 out of contact with all its derivatives."""
     touching = penetration > 0
     return jnp.where(touching, jnp.where(touching, penetration, 1.0) ** exponent, 0.0)
 
 
 def _check_exponent(exponent: object) -> None:
-    check_range(
-        "exponent",
-        exponent,
-        1.0,
-        5.0,
-        allowed="from 1 (a linear spring) to 5",
-        advice="Hertz contact of a sphere has 1.5.",
-    )
+    allowed, advice = "from 1 (a linear spring) to 5", "Hertz contact of a sphere has 1.5."
+    check_range("exponent", exponent, 1.0, 5.0, allowed=allowed, advice=advice)
 
 
 @validated
@@ -159,9 +129,9 @@ class KelvinVoigt(AbstractLinearLaw):
     Raises `ValueError` for a negative stiffness or damping.
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("N/m")
+    stiffness: Number = number_field("N/m")
     """Contact stiffness Ks, N/m."""
-    damping: float | Float[Array, "..."] = number_field("N s/m", default=0.0)
+    damping: Number = number_field("N s/m", default=0.0)
     """Contact damping Cs, N s/m."""
     tension: bool = eqx.field(static=True, default=True)
     """Whether the stop may pull, as the printed law does."""
@@ -172,9 +142,7 @@ class KelvinVoigt(AbstractLinearLaw):
         check_not_negative("damping", self.damping, "N s/m")
         check_choice("tension", self.tension, (True, False))
 
-    def force(
-        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def force(self, penetration: Values, rate: Values) -> Values:
         """Return stiffness d + damping d', cut off below zero without tension."""
         force = self.stiffness * penetration + self.damping * rate
         return force if self.tension else jnp.maximum(force, 0.0)
@@ -199,9 +167,9 @@ class Hertz(AbstractContactLaw):
     Raises `ValueError` for a negative stiffness or an exponent outside [1, 5].
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("N/m^exponent")
+    stiffness: Number = number_field("N/m^exponent")
     """Contact stiffness, N/m^exponent."""
-    exponent: float | Float[Array, "..."] = number_field(default=1.5)
+    exponent: Number = number_field(default=1.5)
     """Power of the penetration."""
 
     def __check_init__(self) -> None:
@@ -209,9 +177,7 @@ class Hertz(AbstractContactLaw):
         check_not_negative("stiffness", self.stiffness, "N/m^exponent")
         _check_exponent(self.exponent)
 
-    def force(
-        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def force(self, penetration: Values, rate: Values) -> Values:
         """Return stiffness d^exponent."""
         return self.stiffness * _power(penetration, self.exponent)
 
@@ -228,11 +194,11 @@ class HuntCrossley(AbstractContactLaw):
     Raises `ValueError` for a negative stiffness or dissipation, or an exponent outside [1, 5].
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("N/m^exponent")
+    stiffness: Number = number_field("N/m^exponent")
     """Contact stiffness, N/m^exponent."""
-    dissipation: float | Float[Array, "..."] = number_field("s/m", default=0.0)
+    dissipation: Number = number_field("s/m", default=0.0)
     """Loss of restitution per speed of approach (alpha), s/m."""
-    exponent: float | Float[Array, "..."] = number_field(default=1.5)
+    exponent: Number = number_field(default=1.5)
     """Power of the penetration."""
 
     def __check_init__(self) -> None:
@@ -241,9 +207,7 @@ class HuntCrossley(AbstractContactLaw):
         check_not_negative("dissipation", self.dissipation, "s/m")
         _check_exponent(self.exponent)
 
-    def force(
-        self, penetration: Float[Array, "..."], rate: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def force(self, penetration: Values, rate: Values) -> Values:
         """Return stiffness d^exponent (1 + 3/2 dissipation d'), at least zero."""
         loss = jnp.maximum(1 + 1.5 * self.dissipation * rate, 0.0)
         return self.stiffness * _power(penetration, self.exponent) * loss
@@ -261,11 +225,11 @@ class StandardLinearSolid(AbstractMemoryLaw):
     Raises `ValueError` for a negative stiffness or a relaxation time that is not above 0.
     """
 
-    stiffness: float | Float[Array, "..."] = number_field("N/m")
+    stiffness: Number = number_field("N/m")
     """Stiffness of a slow compression, N/m."""
-    maxwell_stiffness: float | Float[Array, "..."] = number_field("N/m")
+    maxwell_stiffness: Number = number_field("N/m")
     """What a sudden compression adds to it, N/m."""
-    relaxation_time: float | Float[Array, "..."] = number_field("s")
+    relaxation_time: Number = number_field("s")
     """Time in which the added force falls to 1/e under constant penetration, s."""
 
     def __check_init__(self) -> None:
@@ -274,35 +238,21 @@ class StandardLinearSolid(AbstractMemoryLaw):
         check_not_negative("maxwell_stiffness", self.maxwell_stiffness, "N/m")
         check_positive("relaxation_time", self.relaxation_time, "s")
 
-    def force_with_memory(
-        self,
-        penetration: Float[Array, "..."],
-        rate: Float[Array, "..."],
-        memory: Float[Array, "..."],
-    ) -> Float[Array, "..."]:
+    def force_with_memory(self, penetration: Values, rate: Values, memory: Values) -> Values:
         """Return stiffness d + maxwell_stiffness (d - z), at least zero."""
         force = self.stiffness * penetration + self.maxwell_stiffness * (penetration - memory)
         return jnp.maximum(force, 0.0)
 
-    def memory_rate(
-        self,
-        penetration: Float[Array, "..."],
-        rate: Float[Array, "..."],
-        memory: Float[Array, "..."],
-    ) -> Float[Array, "..."]:
+    def memory_rate(self, penetration: Values, rate: Values, memory: Values) -> Values:
         """Return z', m/s."""
         return (self._surface(penetration, memory) - memory) / self.relaxation_time
 
-    def stored_energy_with_memory(
-        self, penetration: Float[Array, "..."], memory: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def stored_energy_with_memory(self, penetration: Values, memory: Values) -> Values:
         """Return the energy of both springs, J."""
         surface = self._surface(penetration, memory)
         return (self.stiffness * surface**2 + self.maxwell_stiffness * (surface - memory) ** 2) / 2
 
-    def _surface(
-        self, penetration: Float[Array, "..."], memory: Float[Array, "..."]
-    ) -> Float[Array, "..."]:
+    def _surface(self, penetration: Values, memory: Values) -> Values:
         """How deep the surface of the stop is, m: with the body, or where no force holds it."""
         total = jnp.asarray(self.stiffness) + self.maxwell_stiffness
         share = jnp.where(total > 0, self.maxwell_stiffness / jnp.where(total > 0, total, 1.0), 0.0)

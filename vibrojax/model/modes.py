@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import check_choice, check_count, check_range, concrete
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.signatures import validated
 from vibrojax.model.beam import Cantilever
 from vibrojax.model.dtm import Shapes, add_masses, evaluate, solve
@@ -123,7 +124,7 @@ def _scalar(name: str, value) -> Float[Array, ""]:
 
 
 # Apart from `solve`, which is then compiled once for both formulations.
-@eqx.filter_jit
+@compiled
 def _finish(
     solved: Shapes,
     scale: Float[Array, ""],

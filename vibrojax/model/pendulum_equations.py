@@ -7,6 +7,8 @@ from vibrojax._tools.trigonometry import cosine, sine
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.stops import Stop
 
+Links = Float[Array, " links"]
+
 
 class PendulumEquations(AbstractEquations):
     """Equations of motion of the links, in their angles from the upward vertical.
@@ -19,7 +21,7 @@ class PendulumEquations(AbstractEquations):
     stops: tuple[Stop, ...]
     inertia: Float[Array, "links links"]
     """a_ij, kg m2: the mass matrix of the straight pendulum."""
-    moment: Float[Array, " links"]
+    moment: Links
     """b_i, kg m: what gravity and the motion of the base act on."""
     stiffness: Float[Array, "links links"]
     """Of the joints, N m/rad."""
@@ -31,9 +33,9 @@ class PendulumEquations(AbstractEquations):
     """m."""
     limiter_height: Float[Array, ""]
     """m above the hinge."""
-    below: Float[Array, " links"]
+    below: Links
     """1 for the links below the one that faces the limiters, else 0."""
-    facing: Float[Array, " links"]
+    facing: Links
     """1 for the link that faces the limiters, else 0."""
 
     @property
@@ -46,36 +48,30 @@ class PendulumEquations(AbstractEquations):
         """Unit of the coordinates: angles."""
         return "rad"
 
-    def mass(self, q: Float[Array, " links"]) -> Float[Array, "links links"]:
+    def mass(self, q: Links) -> Float[Array, "links links"]:
         """Return the mass matrix, kg m2."""
         return self.inertia * jnp.cos(q[:, None] - q[None, :])
 
-    def mass_times(
-        self, q: Float[Array, " links"], vector: Float[Array, " links"]
-    ) -> Float[Array, " links"]:
+    def mass_times(self, q: Links, vector: Links) -> Links:
         """Return the mass matrix times a vector by two constant products."""
         c, s = cosine(q), sine(q)
         return c * (self.inertia @ (c * vector)) + s * (self.inertia @ (s * vector))
 
-    def linear_force(
-        self, q: Float[Array, " links"], rate: Float[Array, " links"]
-    ) -> Float[Array, " links"]:
+    def linear_force(self, q: Links, rate: Links) -> Links:
         """Return the moments of joints and bearing, N m."""
         return self.stiffness @ q + self.damping @ rate
 
-    def smooth_force(
-        self, q: Float[Array, " links"], rate: Float[Array, " links"]
-    ) -> Float[Array, " links"]:
+    def smooth_force(self, q: Links, rate: Links) -> Links:
         """Return the moments of gravity and of the turning of the links, N m."""
         c, s, square = cosine(q), sine(q), rate**2
         turning = s * (self.inertia @ (c * square)) - c * (self.inertia @ (s * square))
         return self.gravity * self.moment * s - turning
 
-    def input(self, q: Float[Array, " links"]) -> Float[Array, " links"]:
+    def input(self, q: Links) -> Links:
         """Return the moments of a unit input (base acceleration with its sign changed), kg m."""
         return self.moment * cosine(q)
 
-    def penetration(self, q: Float[Array, " links"]) -> Float[Array, " stops"]:
+    def penetration(self, q: Links) -> Float[Array, " stops"]:
         """Return how deep the limiters are in the face of their link, m."""
         if not self.stops:
             return jnp.zeros(0)
@@ -85,32 +81,30 @@ class PendulumEquations(AbstractEquations):
         reach = across * c + (self.limiter_height - along) * s
         return jnp.stack([stop.side * reach - stop.gap * c for stop in self.stops])
 
-    def tip(self, q: Float[Array, " links"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def tip(self, q: Links) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Return where the tip is from the hinge, across and up, m."""
         return self.link_length * jnp.sum(sine(q)), self.link_length * jnp.sum(cosine(q))
 
-    def response(self, q: Float[Array, " links"]) -> Float[Array, ""]:
+    def response(self, q: Links) -> Float[Array, ""]:
         """Return the displacement of the tip relative to the base, m."""
         return self.tip(q)[0]
 
-    def observables(self, q: Float[Array, " links"]) -> dict[str, Float[Array, ""]]:
+    def observables(self, q: Links) -> dict[str, Float[Array, ""]]:
         """Return what can be watched of a motion; see `pendulum_observables`."""
         energy = {"strain_energy": self.strain_energy(q)}
         return pendulum_observables(q, self.link_length) | energy
 
-    def kinetic_energy(
-        self, q: Float[Array, " links"], rate: Float[Array, " links"]
-    ) -> Float[Array, ""]:
+    def kinetic_energy(self, q: Links, rate: Links) -> Float[Array, ""]:
         """Return the kinetic energy relative to the base, J (Litak et al., eq. 1)."""
         return rate @ self.mass_times(q, rate) / 2
 
-    def potential_energy(self, q: Float[Array, " links"]) -> Float[Array, ""]:
+    def potential_energy(self, q: Links) -> Float[Array, ""]:
         """Return the energy of the joints and of the height, J (Litak et al., eq. 2)."""
         return self.strain_energy(q) + self.gravity * (self.moment @ cosine(q))
 
 
 def pendulum_observables(
-    angles: Float[Array, " links"], link_length: Float[Array, ""]
+    angles: Links, link_length: Float[Array, ""]
 ) -> dict[str, Float[Array, ""]]:
     """Read displacement of the tip (m), bearing angle (rad) and chord reduction (m) off angles.
 

@@ -20,11 +20,14 @@ from vibrojax.model.laws import (
     stored_energy,
 )
 
+Values = Float[Array, "..."]
+Number = float | Values
+
 DEFAULT_SMOOTHING = 1e-3
 """Width of the rounded corner of the contact force when a `Stop` gives none, in gaps."""
 
 
-def smooth_ramp(penetration: Float[Array, "..."], width: ArrayLike) -> Float[Array, "..."]:
+def smooth_ramp(penetration: Values, width: ArrayLike) -> Values:
     """Round the corner of max(d, 0): exactly 0 for d <= 0, exactly d for d >= width, C2 between.
 
     The quintic 6 u^3 - 8 u^4 + 3 u^5 (u = d/width) has no offset beyond the width, so the force
@@ -38,7 +41,7 @@ def smooth_ramp(penetration: Float[Array, "..."], width: ArrayLike) -> Float[Arr
     return jnp.where(rounded & (penetration < safe), polynomial, linear)
 
 
-def smooth_switch(penetration: Float[Array, "..."], width: ArrayLike) -> Float[Array, "..."]:
+def smooth_switch(penetration: Values, width: ArrayLike) -> Values:
     """Go from 0 (d <= 0) to 1 (d >= width) as a C2 polynomial; a jump when the width is 0."""
     rounded = jnp.asarray(width) > 0
     safe = jnp.where(rounded, width, 1.0)
@@ -57,15 +60,15 @@ class Stop(eqx.Module):
     fig. 3 and eq. 7.
     """
 
-    position: float | Float[Array, "..."] | None = number_field()
+    position: Number | None = number_field()
     """Place along the beam, s1 = x/L; None for a `MatrixSystem`, whose `stop_map` places it."""
-    gap: float | Float[Array, "..."] = number_field("m")
+    gap: Number = number_field("m")
     """Clearance lambda between the beam at rest and the stop, m."""
     law: AbstractContactLaw  # pyright: ignore[reportGeneralTypeIssues]
     """Force as a function of penetration and rate."""
     side: int = eqx.field(static=True, default=1)
     """+1: the stop is above the beam (y > 0); -1: below."""
-    smoothing: float | Float[Array, "..."] | None = number_field(default=None)
+    smoothing: Number | None = number_field(default=None)
     """Width, m of penetration, over which the corner of the force at touch is rounded.
 
     None (the default): methods that locate the touch keep the corner exact, the others round it
@@ -97,12 +100,7 @@ class Stop(eqx.Module):
         """Whether the law has an internal state of its own."""
         return isinstance(self.law, AbstractMemoryLaw)
 
-    def force(
-        self,
-        penetration: Float[Array, "..."],
-        rate: Float[Array, "..."],
-        memory: Float[Array, "..."] | None = None,
-    ) -> Float[Array, "..."]:
+    def force(self, penetration: Values, rate: Values, memory: Values | None = None) -> Values:
         """Return the rounded contact force, N, for any penetration (m) and its rate (m/s).
 
         Positive when it pushes the body away from the stop. The rate is switched on over the same
@@ -113,11 +111,8 @@ class Stop(eqx.Module):
         return self._law_force(smooth_ramp(penetration, width), engaged * rate, memory)
 
     def exact_force(
-        self,
-        penetration: Float[Array, "..."],
-        rate: Float[Array, "..."],
-        memory: Float[Array, "..."] | None = None,
-    ) -> Float[Array, "..."]:
+        self, penetration: Values, rate: Values, memory: Values | None = None
+    ) -> Values:
         """Return the contact force with its corner kept, N.
 
         `penetration` (m, positive in contact) and `rate` (m/s) are arrays of one shape.
@@ -132,12 +127,7 @@ class Stop(eqx.Module):
             return self.law.force(depth, rate)
         return self.law.force_with_memory(depth, rate, memory)
 
-    def memory_rate(
-        self,
-        penetration: Float[Array, "..."],
-        rate: Float[Array, "..."],
-        memory: Float[Array, "..."],
-    ) -> Float[Array, "..."]:
+    def memory_rate(self, penetration: Values, rate: Values, memory: Values) -> Values:
         """Return how fast the memory of the law changes, for any penetration (m), per s.
 
         `rate` is that of the penetration (m/s), `memory` the state of the law. For laws
@@ -148,9 +138,7 @@ class Stop(eqx.Module):
         engaged = smooth_switch(penetration, width)
         return self.law.memory_rate(smooth_ramp(penetration, width), engaged * rate, memory)
 
-    def stored_energy(
-        self, penetration: Float[Array, "..."], memory: Float[Array, "..."] | None = None
-    ) -> Float[Array, "..."]:
+    def stored_energy(self, penetration: Values, memory: Values | None = None) -> Values:
         """Return the energy that the stop could give back, J, its corner kept.
 
         `penetration` in m; without its `memory` a law that has one was at rest before.

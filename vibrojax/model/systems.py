@@ -15,10 +15,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import name_of
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.described import described, in_short, shown_value
 from vibrojax._tools.signatures import check_not_traced, check_one_lane, validated
 from vibrojax.model.drives import AbstractDrive, AbstractWaveform
-from vibrojax.model.equations import AbstractEquations, LinearEquations
+from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.states import Displacement, as_state, check_coordinates
 from vibrojax.model.stops import Stop
 
@@ -67,7 +68,7 @@ class AbstractSystem(eqx.Module):
 
         `displacement` is in the unit of the coordinates.
         """
-        count = eqx.filter_eval_shape(as_arrays(self).equations).size
+        count = equation_kinds(self).size
         return check_coordinates("displacement", displacement, count, "the coordinates themselves")
 
     def state(
@@ -97,7 +98,7 @@ class AbstractSystem(eqx.Module):
         Raises `ValueError` for what is no displacement of the system, or not finite; warns where
         the modes of a beam leave out more than a tenth of it.
         """
-        equations = eqx.filter_eval_shape(as_arrays(self).equations)
+        equations = equation_kinds(self)
         parts = [
             jnp.zeros(equations.size) if given is None else self.modal_coordinates(given)
             for given in (displacement, velocity)
@@ -160,10 +161,15 @@ def as_arrays(system: ModuleType) -> ModuleType:
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), system)
 
 
-@eqx.filter_jit
+@compiled(lightly=True)
 def equations_of(system: AbstractSystem) -> AbstractEquations:
     """Compute the equations of a system, compiled once for all numbers of its structure."""
     return system.equations()
+
+
+def equation_kinds(system: AbstractSystem) -> AbstractEquations:
+    """Return the equations without their numbers: what kind they are; nothing is compiled."""
+    return equations_of.kinds(as_arrays(system))
 
 
 @validated
@@ -184,11 +190,11 @@ class Motion(eqx.Module):
 
     def sharp_equations(self) -> AbstractEquations:
         """Return the equations with the corner of the contact force kept, where it can be."""
-        equations = self.equations
-        if self.prepared is None or not isinstance(equations, LinearEquations):
-            return equations
-        stops = tuple(dataclasses.replace(stop, smoothing=0.0) for stop in equations.stops)
-        return dataclasses.replace(equations, stops=stops)
+        linear = self.equations.linear_between_contacts
+        if self.prepared is None or linear is None:
+            return self.equations
+        stops = tuple(dataclasses.replace(stop, smoothing=0.0) for stop in linear.stops)
+        return dataclasses.replace(linear, stops=stops)
 
     def vector_field(
         self, time: Float[ArrayLike, ""], state: Float[Array, " states"], args: object

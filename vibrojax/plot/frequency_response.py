@@ -6,9 +6,7 @@ from typing import Any
 import numpy as np
 import xarray
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.plot.style import (
@@ -16,18 +14,15 @@ from vibrojax.plot.style import (
     GREY,
     HOLLOW,
     MARKERS,
-    MAX_LINES,
     SMALL,
     STYLES,
     WORDS,
-    Key,
     chosen_in,
+    family_colors,
     finish,
     label_for,
     mark_places,
     new_picture,
-    scale_beside,
-    shades,
 )
 from vibrojax.results.axes import axes_of, axis_scale
 from vibrojax.results.status import Status
@@ -35,7 +30,17 @@ from vibrojax.results.variables import label_of
 
 MAX_MARKERS = 30
 """Markers on a line that show its direction; every point of a short sweep has one."""
-JUMP = (0, (3, 2))
+JUMP: dict[str, Any] = {"linestyle": (0, (3, 2)), "linewidth": 1.3}
+GONE: dict[str, Any] = {"marker": "x", "linestyle": "none"}
+UNSETTLED = {
+    Status.aperiodic: ("no period found", HOLLOW | {"marker": ">", "markeredgewidth": 1.4}),
+    Status.diverged: ("diverged", GONE),
+    Status.unbounded: ("unbounded", GONE),
+}
+"""What the legend says of points that did not settle, and how it shows them."""
+
+Jumps = dict[str, tuple[float, int, str]]
+"""Of a direction: where it jumps, after which point, and the name of the jump."""
 
 
 def plot_frequency_response(
@@ -46,93 +51,99 @@ def plot_frequency_response(
     One axis of the call may be left in the dataset and is drawn as lines of different colour.
     Points that did not settle are hollow.
     """
-    figure, axes = new_picture()
-    left = response["jump_up"].dims
-    lanes = [response.isel({left[0]: k}) for k in range(response.sizes[left[0]])] if left else []
+    _, axes = new_picture()
+    axis = str(response[variable].dims[-1])
+    chosen = response.sel(direction=list(directions))
+    left = [str(d) for d in response["jump_up"].dims]
     if left:
-        lanes = [_Lane(one, variable) for one in lanes]
-        key = _family(figure, axes, response, lanes, directions, str(left[0]))
+        colors = family_colors(axes, axis_scale(axes_of(response, left), left[0]), linewidth=3)
+        lanes = [response.isel({left[0]: k}) for k in range(len(colors))]
+        several = [dict.fromkeys(directions, color) for color in colors]
     else:
-        lanes, key = [_Lane(response, variable)], {}
-        _single(axes, lanes[0], directions)
+        lanes, several = [response], [COLORS]
+    jumps = [_jumps(lane, axis) for lane in lanes]
+    for lane, found, own in zip(lanes, jumps, several, strict=True):
+        for stagger, direction in enumerate(directions):
+            line = lane.sel(direction=direction)
+            style = {"color": own[direction], "markers": MAX_MARKERS // (1 + bool(left))}
+            _draw_curve(axes, line, variable, found.get(direction), stagger, **style)
+    entries = dict.fromkeys(directions, GREY) if left else COLORS
+    for d in directions:
+        style = {"color": entries[d], "linestyle": STYLES[d], "linewidth": 1.8}
+        axes.plot([], [], marker=MARKERS[d], label=WORDS[d], **style)
+    if left and any(d in found for found in jumps for d in directions):
+        axes.plot([], [], color=GREY, label="jump", **JUMP)
+    for status, (words, style) in UNSETTLED.items():
+        if count := int((chosen["status"] == status.value).sum()):
+            words = f"{words} ({count} point{'s' if count > 1 else ''})"
+            axes.plot([], [], color=GREY, markersize=8, label=words, **style)
     _from_zero(axes, variable)
     if not left:
-        lane, unit = lanes[0], " Hz" if lanes[0].axis == "frequency" else ""
-        jumps = [(*lane.jumps[d], COLORS[d]) for d in directions if d in lane.jumps]
-        mark_places([axes], [(x, f"{name} {x:.5g}{unit}", color) for x, _, name, color in jumps])
-        _hertz_above(axes, lane)
-    colors = dict.fromkeys(directions, GREY) if left else COLORS
-    names = label_for(response[lanes[0].axis]), label_for(response[variable])
-    return finish(figure, axes, *names, key | _key(lanes, directions, colors), chosen_in(response))
+        unit, found = " Hz" if axis == "frequency" else "", jumps[0]
+        named = [(*found[d], COLORS[d]) for d in directions if d in found]
+        mark_places([axes], [(x, f"{name} {x:.5g}{unit}", color) for x, _, name, color in named])
+        if axis == "frequency_ratio":
+            _hertz_above(axes, float(response["natural_frequency"]))
+    return finish(axes, label_for(response[axis]), label_for(response[variable]), chosen_in(chosen))
 
 
-class _Lane:
-    """What is drawn of one system."""
+def _jumps(lane: xarray.Dataset, axis: str) -> Jumps:
+    """Return the jumps of one system by their directions."""
+    frequencies, amplitude = lane[axis].values, lane["amplitude_ratio"].values
+    directions, found = lane["direction"].values.tolist(), []
+    for name in ("jump_up", "jump_down"):
+        where = float(lane[name])
+        if np.isfinite(where) and len(frequencies) > 1:
+            at = np.clip(np.searchsorted(frequencies, where) - 1, 0, len(frequencies) - 2)
+            step = np.nan_to_num(np.abs(amplitude[:, at + 1] - amplitude[:, at]))
+            found.append((step, (where, int(at), name.replace("_", " "))))
+    # A direction has one jump at most: give each jump the direction that changes there.
+    takers = itertools.permutations(range(len(directions)), len(found))
 
-    def __init__(self, response: xarray.Dataset, variable: str):
-        self.axis = str(response[variable].dims[-1])
-        self.frequencies = response[self.axis].values
-        self.directions = response["direction"].values.tolist()
-        self.curves = response[variable].values.astype(float)
-        self.status = response["status"].values
-        amplitude = response["amplitude_ratio"].values
-        self.natural_frequency = float(response["natural_frequency"])
-        self.jumps: dict[str, tuple[float, int, str]] = {}
-        """Of a direction: where it jumps, after which point, and the name of the jump."""
-        found = []
-        for name in ("jump_up", "jump_down"):
-            where = float(response[name])
-            if np.isfinite(where) and len(self.frequencies) > 1:
-                last = len(self.frequencies) - 2
-                at = int(np.clip(np.searchsorted(self.frequencies, where) - 1, 0, last))
-                change = np.nan_to_num(np.abs(amplitude[:, at + 1] - amplitude[:, at]))
-                found.append((change, (where, at, name.replace("_", " "))))
-        # A direction has one jump at most: give each jump the direction that changes there.
-        takers = list(itertools.permutations(range(len(self.directions)), len(found)))
-        if takers:
-            best = max(takers, key=lambda t: sum(f[0][k] for f, k in zip(found, t, strict=True)))
-            for (_, jump), k in zip(found, best, strict=True):
-                self.jumps[self.directions[k]] = jump
+    def change(taker: tuple[int, ...]) -> float:
+        return float(sum(f[0][k] for f, k in zip(found, taker, strict=True)))
 
-    def curve(self, direction: str) -> np.ndarray:
-        return self.curves[self.directions.index(direction)]
-
-    def of_status(self, direction: str, *status: Status) -> np.ndarray:
-        own = self.status[self.directions.index(direction)]
-        return np.isin(own, [one.value for one in status])
+    best = max(takers, key=change, default=())
+    return {directions[k]: jump for (_, jump), k in zip(found, best, strict=False)}
 
 
 def _draw_curve(
-    axes: Axes, lane: _Lane, direction: str, color: Any, stagger: int, markers: int = MAX_MARKERS
+    axes: Axes,
+    line: xarray.Dataset,
+    variable: str,
+    jump: tuple[float, int, str] | None,
+    stagger: int,
+    *,
+    color: Any,
+    markers: int,
 ) -> None:
-    x, y = lane.frequencies, lane.curve(direction)
+    """Draw one system in one direction, with its jump and the points that did not settle."""
+    direction, status = line["direction"].item(), line["status"].values
+    y = line[variable].values.astype(float)
+    x = line[line[variable].dims[0]].values
     line_x, line_y = x, y
-    if direction in lane.jumps:  # the line is broken at the jump
-        at = lane.jumps[direction][1] + 1
-        line_x, line_y = np.insert(x, at, x[at]), np.insert(y, at, np.nan)
+    if jump is not None:  # the line is broken there
+        where, at, _ = jump
+        line_x, line_y = np.insert(x, at + 1, x[at + 1]), np.insert(y, at + 1, np.nan)
+        _draw_jump(axes, where, x[at : at + 2], y[at : at + 2], direction, color)
     axes.plot(line_x, line_y, color=color, linestyle=STYLES[direction], linewidth=1.8)
     every = max(1, -(-len(x) // markers))
-    shown = lane.of_status(direction, Status.settled)
-    shown &= (np.arange(len(x)) - stagger * every // 2) % every == 0
+    shown = (np.arange(len(x)) - stagger * every // 2) % every == 0
+    shown &= status == Status.settled.value
     marks: dict[str, Any] = {"marker": MARKERS[direction], "linestyle": "none", "color": color}
     axes.plot(x[shown], y[shown], markersize=6.5, **marks)
-    lost = lane.of_status(direction, Status.aperiodic)
+    lost = status == Status.aperiodic.value
     axes.plot(x[lost], y[lost], markersize=8, markeredgewidth=1.4, **(marks | HOLLOW))
-    gone = lane.of_status(direction, Status.diverged, Status.unbounded)
-    if gone.any():
-        at_bottom = axes.get_xaxis_transform()
-        marks["marker"] = "x"
-        axes.plot(x[gone], np.full(gone.sum(), 0.02), transform=at_bottom, markersize=8, **marks)
+    gone = x[np.isin(status, [Status.diverged.value, Status.unbounded.value])]
+    at_bottom = {"transform": axes.get_xaxis_transform(), "color": color, "markersize": 8}
+    axes.plot(gone, np.full(len(gone), 0.02), **(at_bottom | GONE))
 
 
-def _draw_jump(axes: Axes, lane: _Lane, direction: str, color: Any) -> None:
+def _draw_jump(
+    axes: Axes, where: float, x: np.ndarray, y: np.ndarray, direction: str, color: Any
+) -> None:
     """Draw a jump as a dashed arrow from branch to branch, behind the curves."""
-    if direction not in lane.jumps:
-        return
-    where, at, _ = lane.jumps[direction]
-    x, y = lane.frequencies[[at, at + 1]], lane.curve(direction)[[at, at + 1]]
-    path = [x[0], where, where, x[1]], [y[0], y[0], y[1], y[1]]
-    axes.plot(*path, color=color, linestyle=JUMP, linewidth=1.3, zorder=1.8)
+    axes.plot([x[0], where, where, x[1]], y[[0, 0, 1, 1]], color=color, zorder=1.8, **JUMP)
     start, end = y if direction == "forward" else y[::-1]
     if not np.isfinite([start, end]).all():
         return
@@ -146,17 +157,8 @@ def _draw_jump(axes: Axes, lane: _Lane, direction: str, color: Any) -> None:
     )
 
 
-def _single(axes: Axes, lane: _Lane, directions: tuple[str, ...]) -> None:
-    for stagger, direction in enumerate(directions):
-        _draw_curve(axes, lane, direction, COLORS[direction], stagger)
-        _draw_jump(axes, lane, direction, COLORS[direction])
-
-
-def _hertz_above(axes: Axes, lane: _Lane) -> None:
+def _hertz_above(axes: Axes, natural: float) -> None:
     """Add the frequency in Hz above one over the natural frequency."""
-    if lane.axis != "frequency_ratio":
-        return
-    natural = lane.natural_frequency
     scales = (lambda r: np.asarray(r) * natural, lambda f: np.asarray(f) / natural)
     hertz = axes.secondary_xaxis("top", functions=scales)
     hertz.set_xlabel(label_of("frequency"), fontsize=SMALL, color=GREY)
@@ -167,57 +169,10 @@ def _hertz_above(axes: Axes, lane: _Lane) -> None:
 def _from_zero(axes: Axes, variable: str) -> None:
     """Let an axis of sizes begin at zero, and name the values of a status."""
     if variable == "status":
-        shown = (Status.settled, Status.aperiodic, Status.diverged, Status.unbounded)
+        shown = (Status.settled, *UNSETTLED)
         axes.set_yticks([s.value for s in shown], [s.name for s in shown])
     elif variable == "period":
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     else:
         top = max(axes.get_ylim()[1], 1e-12)
         axes.set_ylim(-0.02 * top, top)  # markers at zero are seen whole
-
-
-def _family(
-    figure: Figure,
-    axes: Axes,
-    response: xarray.Dataset,
-    lanes: list[_Lane],
-    directions: tuple[str, ...],
-    name: str,
-) -> Key:
-    """Draw several systems in the colours of a scale; return the legend of few."""
-    scale = axis_scale(axes_of(response, [name]), name)
-    values, key = scale.places, {}
-    if len(values) > MAX_LINES:
-        spread = values.max() / values.min() if values.min() > 0 else 1.0
-        norm = (LogNorm if spread > 30 else Normalize)(values.min(), values.max())
-        colors = map(scale_beside(figure, axes, norm, scale.label), values)
-    else:
-        colors = shades(len(values))
-    for lane, color, label in zip(lanes, colors, scale.labels, strict=True):
-        if len(values) <= MAX_LINES:
-            key[label] = Line2D([], [], color=color, linewidth=3)
-        for stagger, direction in enumerate(directions):
-            _draw_curve(axes, lane, direction, color, stagger, MAX_MARKERS // 2)
-            _draw_jump(axes, lane, direction, color)
-    return key
-
-
-def _key(lanes: list[_Lane], directions: tuple[str, ...], colors: dict[str, str]) -> Key:
-    key: Key = {}
-    for d in directions:
-        style: dict[str, Any] = {"color": colors[d], "linestyle": STYLES[d], "linewidth": 1.8}
-        key[WORDS[d]] = Line2D([], [], marker=MARKERS[d], markersize=7, **style)
-    if len(lanes) > 1 and any(d in lane.jumps for lane in lanes for d in directions):
-        key["jump"] = Line2D([], [], color=GREY, linestyle=JUMP, linewidth=1.3)
-    hollow = HOLLOW | {"marker": ">", "markeredgewidth": 1.4}
-    gone = {"marker": "x", "linestyle": "none"}
-    for status, words, style in (
-        (Status.aperiodic, "no period found", hollow),
-        (Status.diverged, "diverged", gone),
-        (Status.unbounded, "unbounded", gone),
-    ):
-        count = sum(int(lane.of_status(d, status).sum()) for lane in lanes for d in directions)
-        if count:
-            label = f"{words} ({count} point{'s' if count > 1 else ''})"
-            key[label] = Line2D([], [], color=GREY, markersize=8, **style)
-    return key

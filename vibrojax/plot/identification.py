@@ -1,31 +1,32 @@
-"""Picture of an identification: the points, the fitted curve, residuals and estimates."""
+"""Pictures of identifications: points, fitted curve, residuals, estimates, and profiles."""
 
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import xarray
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from vibrojax.plot.style import (
     COLORS,
     DASHES,
+    FRAME,
     GREY,
     HOLLOW,
     MARKERS,
+    SIZE,
     SMALL,
-    Key,
     balanced,
     draw_stable,
+    dress,
+    empty_picture,
     label_for,
     mark_places,
     name_axes,
     new_panels,
     outside_legend,
-    stability_key,
-    titled,
 )
 
 WAYS = {"forward": 1, "backward": -1, "unknown direction": 0}
@@ -41,6 +42,10 @@ WIDE = 8.6
 MOST_FOLDS = 4
 """Folds of one direction that are marked."""
 MOST_WARNINGS = 3
+REFITTED: dict[str, Any] = {"color": COLORS["blue"], "linewidth": 1.8}
+THRESHOLD: dict[str, Any] = {"color": COLORS["orange"], "linestyle": DASHES, "linewidth": 1.5}
+INSIDE: dict[str, Any] = {"color": COLORS["blue"], "alpha": 0.13, "linewidth": 0}
+ESTIMATE: dict[str, Any] = {"color": GREY, "linestyle": ":", "linewidth": 1.5}
 
 Line = list[tuple[float, str, dict[str, Any]]]
 """Of text: place (inches from the left), words and style of its parts."""
@@ -57,12 +62,10 @@ def plot_identification(data: xarray.Dataset, estimates: xarray.Dataset, title: 
     figure, (*panels, below) = new_panels([*heights, LINE * (len(text) + 3)])
     panels[-1].tick_params(labelbottom=True)
     below.set_axis_off()
-    key = (_curve if is_curve else _history)(panels, data, names)
-    key["±2 standard deviations"] = Line2D([], [], **LIMITS)
-    outside_legend(figure, key, above=True)
-    titled(panels[0], textwrap.shorten(title, 85, placeholder=" …"))
+    (_curve if is_curve else _history)(panels, data, names)
+    name_axes(panels[0], title=textwrap.shorten(title, 85, placeholder=" …"))
     _write(below, text)
-    return figure
+    return outside_legend(figure, above=True)
 
 
 def _channels(data: xarray.Dataset) -> list[str]:
@@ -70,32 +73,31 @@ def _channels(data: xarray.Dataset) -> list[str]:
     return [n.removeprefix("measured_") for n in own if n != "measured_frequency"]
 
 
-def _curve(panels: list[Axes], data: xarray.Dataset, names: list[str]) -> Key:
-    """Draw points and curve of every channel, and the residuals; return the legend."""
+def _curve(panels: list[Axes], data: xarray.Dataset, names: list[str]) -> None:
+    """Draw points and curve of every channel, and the residuals."""
     frequency, direction = data["measured_frequency"].values, data["direction"].values
     shown = [*(f"measured_{name}" for name in names), "residual"]
-    key: Key = {}
     for way, number in WAYS.items():
         at = direction == number
+        marks: dict[str, Any] = {"marker": MARKERS.get(way, "o"), "color": COLORS.get(way, GREY)}
+        marks |= {"linestyle": "none", "markersize": 7, "markeredgewidth": 0.0, "alpha": 0.8}
+        marks["label"] = f"measured, {way}{' sweep' if number else ''}"
         if at.any():
-            marks = _marks(way)
             for axes, name in zip(panels, shown, strict=True):
                 axes.plot(frequency[at], data[name].values[at], zorder=3, **marks)
-            key[f"measured, {way}{' sweep' if number else ''}"] = Line2D([], [], **marks)
     along = data["curve_frequency"].values
-    stable = data["curve_unstable"].values == 0
-    joined = data["curve_continues"].values
+    stable, joined = data["curve_unstable"].values == 0, data["curve_continues"].values
+    style: dict[str, Any] = FITTED | {"words": ("fitted", "fitted, between folds"), "zorder": 4}
     folds = _folds(data)
     for axes, name in zip(panels, names, strict=False):
         values = data[f"curve_{name}"].values
-        kinds = draw_stable(axes, along, values, stable, joined, zorder=4, **FITTED)
+        draw_stable(axes, along, values, stable, joined, entry=FITTED["color"], **style)
         for way, at in folds:
             axes.plot(along[at], values[at], color=COLORS[way], zorder=5, **FOLD)
         name_axes(axes, None, balanced(label_for(data[f"measured_{name}"])))
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-        key |= stability_key(kinds, ("fitted", "fitted, between folds"), **FITTED)
     if folds:
-        key["fold of the fitted curve"] = Line2D([], [], color=GREY, **FOLD)
+        panels[0].plot([], [], color=GREY, label="fold of the fitted curve", **FOLD)
     low, high = frequency.min(), frequency.max()
     margin = 0.03 * (high - low) or 0.02 * low
     panels[0].set_xlim(low - margin, high + margin)
@@ -103,14 +105,7 @@ def _curve(panels: list[Axes], data: xarray.Dataset, names: list[str]) -> Key:
     words = [(along[at], f"{way} fold {along[at]:.5g}{unit}", COLORS[way]) for way, at in folds]
     mark_places(panels, words)
     _residual_axis(panels[-1], "Residual\n(std. deviations)")
-    name_axes(panels[-1], label_for(data["measured_frequency"]), None)
-    return key
-
-
-def _marks(way: str) -> dict[str, Any]:
-    """Return the style of the measured points of a direction."""
-    style: dict[str, Any] = {"marker": MARKERS.get(way, "o"), "color": COLORS.get(way, GREY)}
-    return style | {"linestyle": "none", "markersize": 7, "markeredgewidth": 0.0, "alpha": 0.8}
+    name_axes(panels[-1], label_for(data["measured_frequency"]))
 
 
 def _folds(data: xarray.Dataset) -> list[tuple[str, int]]:
@@ -130,22 +125,21 @@ def _folds(data: xarray.Dataset) -> list[tuple[str, int]]:
     return found
 
 
-def _history(panels: list[Axes], data: xarray.Dataset, names: list[str]) -> Key:
-    """Draw the residuals of every channel against time; return the legend."""
-    color = COLORS["blue"]
+def _history(panels: list[Axes], data: xarray.Dataset, names: list[str]) -> None:
+    """Draw the residuals of every channel against time."""
+    line: dict[str, Any] = {"color": COLORS["blue"], "linewidth": 0.9, "markersize": 4}
     for axes, name in zip(panels, names, strict=True):
         own = data["channel"].values == name
-        dots = {"marker": "none" if own.sum() > 200 else "o", "markersize": 4}
         time, residual = data["measured_time"].values[own], data["residual"].values[own]
-        axes.plot(time, residual, color=color, linewidth=0.9, zorder=3, **dots)
+        marker = "none" if own.sum() > 200 else "o"
+        axes.plot(time, residual, marker=marker, zorder=3, label="measured less fitted", **line)
         _residual_axis(axes, f"{name.replace('_', ' ').capitalize()}\n(std. deviations)")
-    name_axes(panels[-1], label_for(data["measured_time"]), None)
-    return {"measured less fitted": Line2D([], [], color=color, linewidth=1.4)}
+    name_axes(panels[-1], label_for(data["measured_time"]))
 
 
 def _residual_axis(axes: Axes, label: str) -> None:
     for height in (-2.0, 2.0):
-        axes.axhline(height, zorder=2, **LIMITS)
+        axes.axhline(height, zorder=2, label="±2 standard deviations", **LIMITS)
     axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=2)
     reach = max(3.0, *np.abs(axes.get_ylim()))
     axes.set_ylim(-reach, reach)
@@ -205,3 +199,58 @@ def _write(axes: Axes, lines: list[Line]) -> None:
                 annotation_clip=False,
                 **style,
             ).set_in_layout(False)
+
+
+def plot_profiles(profiles: Sequence[xarray.Dataset]) -> Figure:
+    """Draw profiles side by side: the rise of chi-square against the number that was held.
+
+    They are those of `Profile.to_xarray()`. Raises `ValueError` when there is none.
+    """
+    if not profiles:
+        raise ValueError("profiles is empty: give at least one profile.")
+    count = len(profiles)
+    columns = min(count, 3 if count != 4 else 2)
+    rows = -(-count // columns)
+    figure = empty_picture((SIZE[0], max(SIZE[1] if count == 1 else 0.0, 3.1 * rows + FRAME)))
+    panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    for k, axes in enumerate(panels.flat):
+        if k >= count:
+            axes.set_axis_off()
+            continue
+        dress(axes)
+        _draw_profile(axes, profiles[k])
+    for row in panels:
+        name_axes(row[0], None, "Rise of chi-square")
+    # All of the rise, or what is of interest where it is huge.
+    threshold = max(p.attrs["threshold"] for p in profiles)
+    highest = max(float(p["rise"].max()) for p in profiles)
+    top = 1.06 * min(max(highest, 1.3 * threshold), 6 * threshold)
+    panels[0, 0].set_ylim(-0.03 * top, top)
+    return outside_legend(figure)
+
+
+def _draw_profile(axes: Axes, profile: xarray.Dataset) -> None:
+    name, estimate = profile.attrs["parameter"], profile.attrs["estimate"]
+    values, rise = profile[name].values.astype(float), profile["rise"].values.astype(float)
+    logarithmic = values.min() > 0 and values.max() > 10 * values.min()
+    inside, outside = (np.log, np.exp) if logarithmic else (np.asarray, np.asarray)
+    # Roots of the rise are nearly straight: what lies between the values is drawn by them.
+    known, root = values, np.sqrt(np.maximum(rise, 0.0)) * np.sign(values - estimate)
+    if estimate not in values and values[0] < estimate < values[-1]:
+        place = int(np.searchsorted(values, estimate))
+        known, root = np.insert(values, place, estimate), np.insert(root, place, 0.0)
+    at = inside(known)
+    between = np.linspace(at[0], at[-1], 40 * len(at))
+    axes.plot(outside(between), np.interp(between, at, root) ** 2, **REFITTED)
+    axes.plot(values, rise, "o", color=REFITTED["color"], markersize=6)
+    axes.plot([], [], marker="o", label="others refitted", **REFITTED)
+    low, high = profile.attrs["interval"]
+    percent, threshold = f"{100 * profile.attrs['confidence']:g} %", profile.attrs["threshold"]
+    axes.axhline(threshold, label=f"{percent} threshold, {threshold:.3g}", **THRESHOLD)
+    axes.axvspan(low, high, zorder=0.5, label=f"{percent} interval", **INSIDE)
+    axes.axvline(estimate, label="estimate", **ESTIMATE)
+    if logarithmic:
+        axes.set_xscale("log")
+    title = f"{estimate:.4g}  ({low:.4g} to {high:.4g})"
+    axes.set_title(title, fontsize=SMALL, loc="left", color=GREY)
+    name_axes(axes, f"{name} (SI)")

@@ -1,6 +1,5 @@
 """What is drawn in one panel of a map: cells, jumps, and the edges between kinds of motion."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -9,26 +8,19 @@ import xarray
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import BoundaryNorm, Colormap, LogNorm, Normalize
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.colors import BoundaryNorm, LogNorm, Normalize
 from matplotlib.patheffects import Normal, Stroke, withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from vibrojax.plot.map_axes import FREQUENCIES, MapAxis
-from vibrojax.plot.style import COLORS, HOLLOW, LABEL, SMALL, Key
+from vibrojax.plot.style import COLORS, HOLLOW, SMALL, color_bar
 
 REGIME = "_regime"
 """Name under which the kind of motion of every cell is kept in the view."""
 APERIODIC, DIVERGED, UNSTABLE = -1, -2, -3  # instead of a period
 LANES = {"settled": 0, "aperiodic": 1, "diverged": 2, "failed": 3, "missing": 4}
 MARKS = {"aperiodic": "o", "diverged": "X", "failed": "s"}
-BLANK: dict[str, Any] = {
-    "facecolor": COLORS["light"],
-    "edgecolor": COLORS["middle"],
-    "hatch": "////",
-}
+BLANK: dict[str, Any] = {"edgecolor": COLORS["middle"], "hatch": "////"}
 MOST_VALUES = 10
 """Whole numbers that get a colour each; more get a continuous scale."""
 ROOM = 0.06
@@ -37,45 +29,40 @@ LEAST_APART = 0.07
 """Share of an axis between values above which each has its tick."""
 CLIPPED = 98
 """Percentile at which the colours of a gradient end: gradients are huge beside a jump."""
-
-
-class JumpStyle(NamedTuple):
-    """How one of the jumps is drawn."""
-
-    color: str
-    dashes: tuple[float, tuple[float, ...]]
-    marker: str
-
-
-JUMPS = {
-    "jump_up": JumpStyle(COLORS["black"], (0, (4, 1.5)), "^"),
-    "jump_down": JumpStyle(COLORS["orange"], (0, (1.2, 1.2)), "v"),
+JUMPS: dict[str, dict[str, Any]] = {
+    "jump_up": {"color": COLORS["black"], "linestyle": (0, (4, 1.5)), "marker": "^"},
+    "jump_down": {"color": COLORS["orange"], "linestyle": (0, (1.2, 1.2)), "marker": "v"},
 }
 
 
 class Shades(NamedTuple):
     """How values become colours, and what the colour bar says."""
 
-    norm: Normalize
-    colors: Colormap
+    drawn: ScalarMappable
     ticks: list[float] | None = None
     names: list[str] | None = None
     extend: str = "neither"
 
+    def bar(self, panels: list[Axes], label: str) -> None:
+        """Add the colour bar that panels share."""
+        bar = color_bar(panels, self.drawn, label, extend=self.extend)
+        if self.ticks is not None:
+            bar.set_ticks(self.ticks, labels=self.names)
+            bar.ax.minorticks_off()
+
 
 class Words(NamedTuple):
-    """What the legend says of the edges, of the letters between them, and of blank cells."""
+    """What the legend says of blank cells, of the edges, and of the letters between them."""
 
-    letters: dict[int, str]
-    edges: str
     blank: str
-    on_curves: bool
+    on_curves: bool = False
+    edges: str = ""
+    letters: dict[int, str] = {}  # noqa: RUF012
 
 
 def cells(panel: xarray.Dataset, name: str, *axes: MapAxis) -> np.ndarray:
-    """Return a variable as floats over the given axes, outermost first, sorted as they are."""
-    values = panel[name].transpose(*(axis.dimension for axis in axes)).values.astype(float)
-    return values[np.ix_(*(axis.order for axis in axes))]
+    """Return a variable as floats over the given axes, outermost first."""
+    return panel[name].transpose(*(axis.dimension for axis in axes)).values.astype(float)
 
 
 def flags_of(array: xarray.DataArray) -> dict[str, int]:
@@ -94,47 +81,36 @@ def shades_of(view: xarray.Dataset, variable: str) -> Shades:
     """
     values = view[variable].values.astype(float)
     values = values[np.isfinite(values)]
+    colors = matplotlib.colormaps["viridis"]
     flags = flags_of(view[variable])
-    whole = np.unique(values)
-    few = 0 < len(whole) <= MOST_VALUES and bool((whole == np.round(whole)).all())
+    whole = np.unique(values).tolist()
+    few = 0 < len(whole) <= MOST_VALUES and all(value == round(value) for value in whole)
     if flags or few:
-        whole = [v for v in flags.values() if v in whole] if flags else whole.tolist()
-        whole = sorted(whole) or [0]
+        whole = [v for v in whole if not flags or v in flags.values()] or [0]
         names = {v: k for k, v in flags.items()}
         edges = np.r_[np.array(whole) - 0.5, whole[-1] + 0.5]
-        colors = matplotlib.colormaps["viridis"].resampled(max(2, len(whole)))
+        colors = colors.resampled(max(2, len(whole)))
+        drawn = ScalarMappable(BoundaryNorm(edges, len(whole)), colors)
         middles = ((edges[1:] + edges[:-1]) / 2).tolist()
-        norm = BoundaryNorm(edges, len(whole))
-        return Shades(norm, colors, middles, [names.get(v, f"{v:g}") for v in whole])
+        return Shades(drawn, middles, [names.get(v, f"{v:g}") for v in whole])
     if not len(values):
-        return Shades(Normalize(0.0, 1.0), matplotlib.colormaps["viridis"])
+        return Shades(ScalarMappable(Normalize(0.0, 1.0), colors))
     low, high = float(values.min()), float(values.max())
     if low < 0 < high and variable.startswith("d_"):
         limit = float(np.percentile(np.abs(values), CLIPPED)) or high
         extend = "both" if max(-low, high) > limit else "neither"
-        colors = matplotlib.colormaps["PuOr_r"]
-        return Shades(Normalize(-limit, limit), colors, extend=extend)
+        return Shades(ScalarMappable(Normalize(-limit, limit), "PuOr_r"), extend=extend)
     norm = LogNorm if low > 0 and high > 300 * low else Normalize
     if low == high:
         low, high = low - (abs(low) or 1.0) / 100, high + (abs(high) or 1.0) / 100
-    return Shades(norm(low, high), matplotlib.colormaps["viridis"])
-
-
-def add_color_bar(figure: Figure, panels: Sequence[Axes], shades: Shades, label: str) -> None:
-    """Add the colour bar that the panels share."""
-    mappable = ScalarMappable(shades.norm, shades.colors)
-    bar = figure.colorbar(mappable, ax=list(panels), pad=0.02, extend=shades.extend)
-    bar.set_label(label, fontsize=LABEL)
-    if shades.ticks is not None:
-        bar.set_ticks(shades.ticks, labels=shades.names)
-        bar.ax.minorticks_off()
-    bar.ax.tick_params(labelsize=SMALL)
+    return Shades(ScalarMappable(norm(low, high), colors))
 
 
 def scale_axes(axes: Axes, x: MapAxis, y: MapAxis | None = None) -> None:
     """Put ticks, names and scales on the axes."""
-    pairs = [("x", x, axes.xaxis)] + ([("y", y, axes.yaxis)] if y else [])
-    for side, axis, drawn in pairs:
+    for side, axis, drawn in (("x", x, axes.xaxis), ("y", y, axes.yaxis)):
+        if axis is None:
+            continue
         if axis.names is not None:
             drawn.set_ticks(axis.places.tolist(), labels=axis.names)
         elif axis.logarithmic:
@@ -158,57 +134,52 @@ def with_regimes(view: xarray.Dataset, variable: str) -> tuple[xarray.Dataset, W
     Where the variable lies on the curves that is the period and the status, for a measure whether
     there is a jump.
     """
-    array = view[variable]
-    blank = _blank(view, variable)
-    dims = set(array.dims)
-    on_curves = {"period", "status"} <= set(view) and set(view["status"].dims) == dims
-    jumps = [n for n in JUMPS if n in view and set(view[n].dims) == dims]
+    array, blank = view[variable], _blank(view, variable)
+    alike = [n for n, v in view.data_vars.items() if set(v.dims) == set(array.dims)]
+    jumps = [n for n in JUMPS if n in alike]
+    on_curves = {"period", "status"} <= {*view.data_vars} and "status" in alike
     if on_curves:
         status, regime = view["status"], view["period"].astype(float)
-        regime = xarray.where(status == LANES["aperiodic"], APERIODIC, regime)
-        regime = xarray.where(status == LANES["diverged"], DIVERGED, regime)
-        if "stable" in view and set(view["stable"].dims) == dims:
-            regime = xarray.where(view["stable"] == 0, UNSTABLE, regime)
+        regime = regime.where(status != LANES["aperiodic"], APERIODIC)
+        regime = regime.where(status != LANES["diverged"], DIVERGED)
+        if "stable" in alike:
+            regime = regime.where(view["stable"] != 0, UNSTABLE)
         regime = regime.where(array.notnull())
     elif jumps:
-        known = array.notnull()
-        if variable in JUMPS:  # which have no value without a jump
-            known = xarray.ones_like(known)
+        # Jumps have no value where there is none.
+        known = array.notnull() if variable not in JUMPS else xarray.ones_like(array, bool)
         if "lane_status" in view:
             known = known & (view["lane_status"] < LANES["failed"])
-        jumping = xarray.zeros_like(known)
-        for name in jumps:
-            jumping = jumping | view[name].notnull()
-        regime = jumping.astype(float).where(known)
+        regime = view[jumps].notnull().to_array().any("variable").astype(float).where(known)
     else:
-        return view, Words({}, "", blank, False)
+        return view, Words(blank)
     view = view.assign({REGIME: regime})
     there = np.unique(regime.values[np.isfinite(regime.values)]).astype(int).tolist()
     if len(there) < 2:
-        return view, Words({}, "", blank, on_curves)
+        return view, Words(blank, on_curves)
     if not on_curves:
-        return view, Words({1: "H"}, "edge of hysteresis (H: jumps)", blank, False)
+        return view, Words(blank, False, "edge of hysteresis (H: jumps)", {1: "H"})
     letters = {n: f"P{n}" if n > 0 else "U" for n in there if n > 0 or n == UNSTABLE}
     said = "Pn: period n" + ", U: unstable" * (UNSTABLE in there)
-    return view, Words(letters, f"change of motion ({said})", blank, True)
+    return view, Words(blank, True, f"change of motion ({said})", letters)
 
 
 def _blank(view: xarray.Dataset, variable: str) -> str:
     """Return why cells have no value, as far as the lanes say."""
     none = view[variable].isnull()
-    start = "no jump" if variable in JUMPS else "no value"
+    is_jump = variable in JUMPS
     reasons = []
     if "lane_status" in view:
         lane = view["lane_status"]
         bad = lane.where(none.any([d for d in none.dims if d not in lane.dims])).values
         for name, number in flags_of(lane).items():
-            if number >= (LANES["failed"] if variable in JUMPS else LANES["aperiodic"]):
-                count = int((bad == number).sum())
-                reasons += [f"{name}: {count} lane{'s' * (count > 1)}"] * (count > 0)
+            count = int((bad == number).sum())
+            if count and number >= LANES["failed" if is_jump else "aperiodic"]:
+                reasons.append(f"{name}: {count} lane{'s' * (count > 1)}")
     if not reasons:
-        return start
+        return "no jump" if is_jump else "no value"
     joined = ", ".join(reasons)
-    return f"no jump, or {joined}" if variable in JUMPS else f"no value ({joined})"
+    return f"no jump, or {joined}" if is_jump else f"no value ({joined})"
 
 
 def draw_cells(
@@ -218,41 +189,42 @@ def draw_cells(
     across: tuple[MapAxis, MapAxis],
     shades: Shades,
     words: Words,
-    key: Key,
 ) -> None:
-    """Draw one panel over two axes, and put what it shows into the legend's `key`."""
+    """Draw one panel over two axes."""
     x, y = across
     values = np.ma.masked_invalid(cells(panel, variable, y, x))
-    axes.set_facecolor(BLANK["facecolor"])
-    axes.patch.set(hatch=BLANK["hatch"], edgecolor=BLANK["edgecolor"])
-    style: dict[str, Any] = {"norm": shades.norm, "cmap": shades.colors, "rasterized": True}
-    axes.pcolormesh(x.edges, y.edges, values, **style)
-    if np.ma.getmaskarray(values).any():
-        key.setdefault(words.blank, Patch(**BLANK))
+    blank = np.ma.getmaskarray(values)
+    axes.set_facecolor(COLORS["light"])
+    axes.patch.set(**BLANK)
+    style: dict[str, Any] = {"norm": shades.drawn.norm, "cmap": shades.drawn.cmap}
+    axes.pcolormesh(x.edges, y.edges, values, rasterized=True, **style)
     taken = np.zeros(values.shape, bool)
     if {x.dimension, y.dimension} & set(FREQUENCIES):
-        taken = _draw_jumps(axes, panel, across, key)
+        taken = _draw_jumps(axes, panel, across)
+    if blank.any():
+        axes.fill_between([], [], facecolor=COLORS["light"], label=words.blank, **BLANK)
     if REGIME in panel:
         regime = cells(panel, REGIME, y, x)
-        _draw_edges(axes, regime, taken, across, words, key)
+        _draw_edges(axes, regime, taken, across, words)
         marked = (("aperiodic", APERIODIC), ("diverged", DIVERGED))
         for name, number in marked if variable != "status" else ():
-            _mark(axes, regime == number, name, name, across, key)
+            _mark(axes, regime == number, name, name, across)
     shown = words.on_curves or variable == "lane_status"
-    dims = set(panel[variable].dims)
-    if not shown and "lane_status" in panel and set(panel["lane_status"].dims) == dims:
-        lanes = np.where(np.ma.getmaskarray(values), 0, cells(panel, "lane_status", y, x))
+    if not shown and "lane_status" in panel and _alike(panel, "lane_status", variable):
+        lanes = np.where(blank, 0, cells(panel, "lane_status", y, x))
         flags = flags_of(panel["lane_status"])
         for name in MARKS:
             label = name if name == "failed" else f"some points {name}"
-            _mark(axes, lanes == flags.get(name, -1), name, label, across, key)
-    axes.set_xlim(x.edges[0], x.edges[-1])
-    axes.set_ylim(y.edges[0], y.edges[-1])
+            _mark(axes, lanes == flags.get(name, -1), name, label, across)
+    axes.set(xlim=x.edges[[0, -1]], ylim=y.edges[[0, -1]])
+    scale_axes(axes, x, y)
 
 
-def _draw_jumps(
-    axes: Axes, panel: xarray.Dataset, across: tuple[MapAxis, MapAxis], key: Key
-) -> np.ndarray:
+def _alike(panel: xarray.Dataset, one: str, other: str) -> bool:
+    return set(panel[one].dims) == set(panel[other].dims)
+
+
+def _draw_jumps(axes: Axes, panel: xarray.Dataset, across: tuple[MapAxis, MapAxis]) -> np.ndarray:
     """Draw the jumps as lines, and return which cells are beside one."""
     x, y = across
     upright = x.dimension in FREQUENCIES
@@ -264,18 +236,19 @@ def _draw_jumps(
         where = cells(panel, name, other)
         if not np.isfinite(where).any():
             continue
-        drawn: dict[str, Any] = {"color": style.color, "linewidth": 2.2, "markersize": 8}
-        drawn |= {"marker": style.marker, "markeredgecolor": "white", "markeredgewidth": 1.0}
-        drawn["linestyle"] = style.dashes if other.names is None else "none"
         taken |= np.abs(frequency.places - where[:, None]) < ROOM * np.ptp(frequency.places)
         places = (where, other.places) if upright else (other.places, where)
+        drawn: dict[str, Any] = style | {"linewidth": 2.2, "markersize": 8, "zorder": 4}
+        drawn |= {"markeredgecolor": "white", "markeredgewidth": 1.0}
         if other.names is None:
             axes.plot(*places, color="white", linewidth=4.4, zorder=3.9)
+        else:
+            drawn["linestyle"] = "none"
         # A point without neighbours is no line: it needs its marker.
         apart = np.isnan(np.r_[np.nan, where[:-1]]) & np.isnan(np.r_[where[1:], np.nan])
         shown = apart | (np.arange(len(where)) % max(1, len(where) // 12) == 0)
-        axes.plot(*places, zorder=4, gid=name, markevery=np.flatnonzero(shown).tolist(), **drawn)
-        key.setdefault(name.replace("_", " "), Line2D([], [], **drawn))
+        drawn |= {"gid": name, "markevery": np.flatnonzero(shown).tolist()}
+        axes.plot(*places, label=name.replace("_", " "), **drawn)
     return taken if upright else taken.T
 
 
@@ -285,7 +258,6 @@ def _draw_edges(
     taken: np.ndarray,
     across: tuple[MapAxis, MapAxis],
     words: Words,
-    key: Key,
 ) -> None:
     """Draw the borders between cells of different kinds, and letters where no cell is taken."""
     x, y = across[0].edges, across[1].edges
@@ -299,14 +271,12 @@ def _draw_edges(
     style: dict[str, Any] = {"color": "black", "linewidth": 1.1, "path_effects": casing}
     if segments:
         axes.add_collection(LineCollection(segments, zorder=3, **style), autolim=False)
-        key.setdefault(words.edges, Line2D([], [], **style))
+        axes.plot([], [], label=words.edges, **style)
+    text: dict[str, Any] = {"fontsize": SMALL, "fontweight": "bold", "ha": "center"}
+    text |= {"path_effects": [withStroke(linewidth=3, foreground="white")], "zorder": 3.5}
     for number, letter in words.letters.items():
         for i, j in _middles((regime == number) & ~taken):
-            place = across[0].places[j], across[1].places[i]
-            outline = [withStroke(linewidth=3, foreground="white")]
-            text: dict[str, Any] = {"fontsize": SMALL, "fontweight": "bold"}
-            text |= {"ha": "center", "va": "center", "zorder": 3.5, "path_effects": outline}
-            axes.text(*place, letter, **text)
+            axes.text(across[0].places[j], across[1].places[i], letter, va="center", **text)
 
 
 def _middles(inside: np.ndarray) -> list[tuple[int, int]]:
@@ -329,19 +299,12 @@ def _middles(inside: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _mark(
-    axes: Axes,
-    where: np.ndarray,
-    name: str,
-    label: str,
-    across: tuple[MapAxis, MapAxis],
-    key: Key,
+    axes: Axes, where: np.ndarray, name: str, label: str, across: tuple[MapAxis, MapAxis]
 ) -> None:
     """Put a mark on cells that did not settle."""
     rows, columns = np.nonzero(where)
     if len(rows):
         size = float(np.clip(120 / max(where.shape), 1.5, 8.0))
-        style: dict[str, Any] = HOLLOW | {"marker": MARKS[name], "color": "black"}
-        style |= {"markeredgewidth": min(1.0, size / 3)}
-        places = across[0].places[columns], across[1].places[rows]
-        axes.plot(*places, markersize=size, zorder=3.2, **style)
-        key.setdefault(label, Line2D([], [], markersize=8, **style))
+        style: dict[str, Any] = HOLLOW | {"marker": MARKS[name], "color": "black", "zorder": 3.2}
+        style |= {"markeredgewidth": min(1.0, size / 3), "markersize": size, "label": label}
+        axes.plot(across[0].places[columns], across[1].places[rows], **style)

@@ -1,6 +1,5 @@
 """Pictures of maps: one variable over two axes, as many panels as further axes need."""
 
-import textwrap
 from typing import Any
 
 import numpy as np
@@ -15,12 +14,10 @@ from vibrojax.plot.map_axes import (
     RESPONSES,
     MapAxis,
     check_map,
-    coordinates_along,
     dimension_of,
-    fixed_names,
-    fixed_text,
+    measures_of,
     parameters_of,
-    read_axis,
+    read_axes,
     select,
     units_of,
     variables_of,
@@ -28,7 +25,6 @@ from vibrojax.plot.map_axes import (
 from vibrojax.plot.map_drawing import (
     JUMPS,
     LANES,
-    add_color_bar,
     cells,
     draw_cells,
     scale_axes,
@@ -44,18 +40,26 @@ from vibrojax.plot.style import (
     SIZE,
     SMALL,
     STYLES,
-    Key,
+    chosen_in,
     empty_picture,
+    fixed_names,
     label_for,
     name_axes,
     new_picture,
     outside_legend,
+    within,
 )
 from vibrojax.plot.style import WORDS as SWEEPS
+from vibrojax.results.axes import coordinates_along
 
 DEFAULTS = ("peak_amplitude_ratio", "amplitude_ratio")
 MAX_PANELS, MAX_ROWS = 24, 6
 PANEL = (3.4, 2.7)  # inches, the least size of one of several panels
+UNSETTLED = {
+    "aperiodic": ("status", 1),
+    "unstable": ("stable", 0),
+    "some points not settled": ("lane_status", None),
+}
 
 
 def plot_map(
@@ -66,48 +70,36 @@ def plot_map(
     y: str | None = None,
     **selection: Any,
 ) -> Figure:
-    """Draw one variable of a map over two of its axes, with its jumps and where the motion changes.
-
-    `dataset` is that of `parameter_map`, or a sweep's `to_xarray()`. `variable` is the peak
-    amplitude ratio where there is one. `x` and `y` name dimensions or coordinates along them: left
-    out, a curve has its frequency on x and the first parameter on y, a measure the first parameter
-    on y and the second on x. `selection` picks the value of other axes, the nearest of numbers. Up
-    to two axes that are left become panels; a single axis becomes a line.
-
-    Raises `ValueError` for a dataset that is not a map, an unknown variable or axis, a selection
-    that is not on its axis, or when more than two axes or 24 panels are left.
-    """
+    """Draw one variable of a map over two of its axes; see `vibrojax.plot_map`."""
     dataset = check_map(dataset)
     name = _variable(dataset, variable)
     for argument, axis in (("x", x), ("y", y)):
-        if axis is not None:
-            chosen = [s for s in selection if _same(dataset, name, axis, s)]
-            if chosen:
-                raise ValueError(
-                    f"{argument}={axis!r} is an axis of the picture and {chosen[0]} a selection "
-                    "along it: give one of them."
-                )
-    view = _without_lost(dataset.isel(select(dataset, name, selection)), name)
+        chosen = [] if axis is None else [s for s in selection if _same(dataset, name, axis, s)]
+        if chosen:
+            raise ValueError(
+                f"{argument}={axis!r} is an axis of the picture and {chosen[0]} a selection along "
+                "it: give one of them."
+            )
+    view = _without_lost(select(dataset, name, selection), name)
     if "crossing" in view[name].dims:  # there are fewer responses at most frequencies
-        others = [d for d in view[name].dims if d != "crossing"]
-        found = view[name].notnull().any(others)
+        found = view[name].notnull().any([d for d in view[name].dims if d != "crossing"])
         view = view.isel(crossing=found.values if found.any() else [0])
     horizontal, vertical, panels = _arrange(view, name, x, y)
-    sides = {d for d in view[name].dims if view.sizes[d] == 1}
-    sides -= {dimension_of(view, name, axis) for axis in (horizontal, vertical) if axis}
-    view = view.isel(dict.fromkeys(sides, 0))
+    drawn = [axis for axis in (horizontal, vertical) if axis]
+    used = {dimension_of(view, name, axis) for axis in drawn}
+    view = view.isel({d: 0 for d in view[name].dims if view.sizes[d] == 1 and d not in used})
+    view, axes = read_axes(view, name, *drawn)
     if vertical is None:
-        return _draw_lines(view, name, read_axis(view, name, horizontal))
-    across = read_axis(view, name, horizontal), read_axis(view, name, vertical)
-    return _draw_maps(view, name, across, panels)
+        return _draw_lines(view, name, axes[0])
+    return _draw_maps(view, name, (axes[0], axes[1]), panels)
 
 
 def _variable(dataset: xarray.Dataset, variable: str | None) -> str:
     known = variables_of(dataset)
     if variable is None:
         floats = [n for n in known if dataset[n].dtype.kind == "f"]
-        measures = [n for n in floats if not {*FREQUENCIES, *RESPONSES} & set(dataset[n].dims)]
-        return next(iter([*(n for n in DEFAULTS if n in known), *measures, *floats, *known]))
+        preferred = [*(n for n in DEFAULTS if n in known), *measures_of(dataset), *floats, *known]
+        return preferred[0]
     if variable not in known:
         raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, known)}")
     return variable
@@ -190,101 +182,81 @@ def _draw_maps(
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     view, words = with_regimes(view, variable)
     shades = shades_of(view, variable)
-    key: Key = {}
-    letters = int(8 * (width / columns - 0.7))
-    known = fixed_names(view, variable)
-    for place, axes in zip(np.ndindex(rows, columns), grid.flat, strict=True):
-        number = place[0] * columns + place[1]
+    room = width / columns - 0.7
+    for number, axes in enumerate(grid.flat):
         if number >= count:
             axes.set_visible(False)
             continue
         where = dict(zip(panels, np.unravel_index(number, sizes), strict=True)) if panels else {}
         panel = view.isel(where)
-        draw_cells(axes, panel, variable, across, shades, words, key)
-        scale_axes(axes, x, y)
-        title = fixed_text(panel, variable, known)
-        title = title if len(title) <= letters else title.replace(", ", "\n")
+        draw_cells(axes, panel, variable, across, shades, words)
+        title = chosen_in(panel, *fixed_names(view))
+        title = title if len(title) <= 8 * room else title.replace(", ", "\n")
         axes.set_title(title, fontsize=LABEL)
-        axes.tick_params(labelsize=SMALL, labelbottom=number + columns >= count)
-        label = textwrap.fill(x.label, letters)
-        if place[0] == rows - 1:
-            name_axes(axes, label, None)
-        elif number + columns >= count:  # there is room below
-            style = {"ha": "center", "va": "top", "textcoords": "offset points"}
-            text = axes.annotate(
-                label, (0.5, 0), (0, -22), "axes fraction", fontsize=LABEL, **style
-            )
+        at_end = number + columns >= count
+        axes.tick_params(labelsize=SMALL, labelbottom=at_end)
+        label = within(x.label(), room)
+        if number >= (rows - 1) * columns:
+            name_axes(axes, label)
+        elif at_end:  # there is room below
+            place = ((0.5, 0), (0, -22), "axes fraction", "offset points")
+            text = axes.annotate(label, *place, ha="center", va="top", fontsize=LABEL)
             text.set_in_layout(False)
-        if not place[1]:
-            name_axes(axes, None, textwrap.fill(y.label, int(8 * height / rows)))
-    label = textwrap.fill(label_for(view[variable]), int(8 * (height - 1.5)))
+        if not number % columns:
+            name_axes(axes, None, within(y.label(), height / rows))
     shown = [axes for axes in grid.flat if axes.get_visible()]
-    add_color_bar(figure, shown, shades, label)
-    _title(figure, fixed_text(view, variable))
-    outside_legend(figure, key)
-    return figure
+    shades.bar(shown, within(label_for(view[variable]), height - 1.5))
+    return _titled(figure, view)
 
 
-def _title(figure: Figure, text: str) -> None:
-    if text:
-        wrapped = textwrap.fill(text, int(9 * figure.get_figwidth()))
-        figure.suptitle(wrapped, fontsize=LABEL, x=0.02, ha="left")
+def _titled(figure: Figure, view: xarray.Dataset) -> Figure:
+    """Write above a picture what was selected, and its legend."""
+    if text := within(chosen_in(view), figure.get_figwidth()):
+        figure.suptitle(text, fontsize=LABEL, x=0.02, ha="left")
+    return outside_legend(figure)
 
 
 def _draw_lines(view: xarray.Dataset, variable: str, x: MapAxis) -> Figure:
     figure, axes = new_picture()
     array = view[variable]
     split = next((str(d) for d in array.dims if d != x.dimension), None)
-    key: Key = {}
     for number in range(view.sizes[split] if split else 1):
         part = view.isel({split: number}) if split else view
-        y = cells(part, variable, x)
         style: dict[str, Any] = {"color": COLORS["forward"], "marker": "o", "linestyle": "-"}
-        label = None
         if split == "direction":
             direction = str(part["direction"].item())
             style = {"color": COLORS.get(direction, GREY), "marker": MARKERS.get(direction, "o")}
             style["linestyle"] = STYLES.get(direction, ":")
-            label = SWEEPS.get(direction, direction)
+            style["label"] = SWEEPS.get(direction, direction)
         elif split:  # crossings of one frequency are not in line with those of the next
             style["linestyle"] = "none"
-            label = f"responses, up to {view.sizes[split]} at one frequency"
+            style["label"] = f"responses, up to {view.sizes[split]} at one frequency"
         if x.names is not None:
             style["linestyle"] = "none"
+        y = cells(part, variable, x)
         (line,) = axes.plot(x.places, y, linewidth=1.8, markersize=6, **style)
-        if label:
-            key.setdefault(label, line)
-        _hollow(axes, part, variable, x, y, line, key)
-    if view[variable].isnull().any():
-        none = view[variable].isnull().all([d for d in array.dims if d != x.dimension])
-        _rug(axes, x.places[none.values[x.order]], key)
+        _hollow(axes, part, variable, x, y, line)
+    none = array.isnull().all([d for d in array.dims if d != x.dimension]).values
+    if none.any():  # marked at the bottom
+        style = {"linestyle": "none", "marker": "x", "color": GREY, "markersize": 8}
+        style |= {"transform": axes.get_xaxis_transform(), "label": f"no value ({none.sum()})"}
+        axes.plot(x.places[none], np.full(none.sum(), 0.02), **style)
     scale_axes(axes, x)
     high = axes.get_ylim()[1]
     if 0 < np.nanmin(array.values, initial=np.inf) < 0.3 * high:
         axes.set_ylim(-0.02 * high, high)
-    if x.dimension in FREQUENCIES:
-        _mark_jumps(axes, view, key)
-    name_axes(axes, x.label, textwrap.fill(label_for(view[variable]), 45))
-    _title(figure, fixed_text(view, variable))
-    outside_legend(figure, key)
-    return figure
-
-
-UNSETTLED = {
-    "aperiodic": ("status", 1),
-    "unstable": ("stable", 0),
-    "some points not settled": ("lane_status", None),
-}
+    for name, style in JUMPS.items() if x.dimension in FREQUENCIES else ():
+        if name in view and not view[name].ndim and np.isfinite(view[name].item()):
+            where, unit = view[name].item(), " Hz" * (units_of(view, name) == "Hz")
+            words = f"{name.replace('_', ' ')} {where:.5g}{unit}"
+            drawn = {n: style[n] for n in ("color", "linestyle")}
+            axes.axvline(where, linewidth=1.5, label=words, **drawn)
+    name_axes(axes, x.label(), within(label_for(array), 5.0))
+    return _titled(figure, view)
 
 
 def _hollow(
-    axes: Axes,
-    part: xarray.Dataset,
-    variable: str,
-    x: MapAxis,
-    y: np.ndarray,
-    line: Line2D,
-    key: Key,
+    axes: Axes, part: xarray.Dataset, variable: str, x: MapAxis, y: np.ndarray, line: Line2D
 ) -> None:
     """Draw points hollow that did not settle, or are not stable."""
     for words, (flag, value) in UNSETTLED.items():
@@ -296,22 +268,4 @@ def _hollow(
             continue
         style = HOLLOW | {"marker": line.get_marker(), "markersize": 8, "markeredgewidth": 1.4}
         axes.plot(x.places[at], y[at], color=line.get_color(), zorder=3, **style)
-        key.setdefault(words, Line2D([], [], color=GREY, **style))
-
-
-def _rug(axes: Axes, places: np.ndarray, key: Key) -> None:
-    """Mark values of the axis without any response, at the bottom."""
-    if len(places):
-        style: dict[str, Any] = {"linestyle": "none", "marker": "x", "color": GREY}
-        bottom = axes.get_xaxis_transform()
-        axes.plot(places, np.full(len(places), 0.02), transform=bottom, markersize=8, **style)
-        key[f"no value ({len(places)})"] = Line2D([], [], markersize=8, **style)
-
-
-def _mark_jumps(axes: Axes, view: xarray.Dataset, key: Key) -> None:
-    for name, style in JUMPS.items():
-        if name in view and not view[name].ndim and np.isfinite(view[name].item()):
-            where = view[name].item()
-            line = axes.axvline(where, color=style.color, linestyle=style.dashes, linewidth=1.5)
-            unit = " Hz" if units_of(view, name) == "Hz" else ""
-            key[f"{name.replace('_', ' ')} {where:.5g}{unit}"] = line
+        axes.plot([], [], color=GREY, label=words, **style)

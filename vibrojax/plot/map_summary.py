@@ -11,19 +11,13 @@ from matplotlib.ticker import MaxNLocator
 
 from vibrojax.plot.map_axes import (
     FREQUENCIES,
-    RESPONSES,
     MapAxis,
     check_map,
-    coordinates_along,
-    fixed_names,
-    fixed_text,
+    measures_of,
     parameters_of,
-    read_axis,
-    variables_of,
-    word,
+    read_axes,
 )
 from vibrojax.plot.map_drawing import (
-    add_color_bar,
     draw_cells,
     flags_of,
     scale_axes,
@@ -34,12 +28,15 @@ from vibrojax.plot.style import (
     COLORS,
     LABEL,
     SMALL,
-    Key,
+    chosen_in,
     dress,
     empty_picture,
+    fixed_names,
     label_for,
+    name_axes,
     outside_legend,
 )
+from vibrojax.results.axes import coordinates_along
 
 PAGE = (11.69, 8.27)  # inches, A4
 MEASURES = (
@@ -60,55 +57,34 @@ LINE, WRAP = 112, 30  # letters over the page and over a panel
 
 
 def plot_map_summary(dataset: xarray.Dataset) -> Figure:
-    """Draw a page, A4 across: up to four measures, the effect of each parameter, and the cost.
-
-    `dataset` is that of `parameter_map`. The maps lie over the two longest axes, with the others at
-    their middle value. The effects are those on the first measure: its median at every value of a
-    parameter, and the band that holds 80 % of the systems there; those of three parameters at most.
-
-    Raises `ValueError` for a dataset that is not a map, or has no measure or no parameter with two
-    values.
-    """
+    """Draw a page, A4 across; see `vibrojax.plot_map_summary`."""
     dataset = check_map(dataset)
     names = _measures(dataset)
     maps = [n for n in names if len(parameters_of(dataset, n)) > 1]
+    tally = _tally(dataset)
+    shown = [(name, name in maps, 1.0) for name in maps or names]
+    below = shown[UPPER:] + [(names[0], False, 1.5)] * bool(maps)
+    widths = [width for *_, width in below] + [0.75] * bool(tally)
     figure = empty_picture(PAGE)
-    key: Key = {}
     upper, lower = figure.add_gridspec(2, 1)
-    first = (maps or names)[:UPPER]
-    row = upper.subgridspec(1, len(first))
-    for number, name in enumerate(first):
-        _draw(figure, row[0, number], dataset, name, name in maps, key)
-    second, tally = (maps or names)[UPPER:], bool(_tally(dataset))
-    widths = [1.0] * len(second) + [1.5] * bool(maps) + [0.75] * tally
+    cells = [*upper.subgridspec(1, len(shown[:UPPER]))]
     if widths:
-        row = lower.subgridspec(1, len(widths), width_ratios=widths)
-        cells_left = (row[0, number] for number in range(len(widths)))
-        for name in second:
-            _draw(figure, next(cells_left), dataset, name, name in maps, key)
-        if maps:
-            _draw(figure, next(cells_left), dataset, names[0], False, key)
-        if tally:
-            _draw_tally(figure.add_subplot(next(cells_left)), dataset)
-    figure.suptitle(_heading(dataset, names[0]), fontsize=LABEL, x=0.02, ha="left")
-    outside_legend(figure, key)
-    return figure
+        cells += [*lower.subgridspec(1, len(widths), width_ratios=widths)]
+    for cell, (name, as_map, _) in zip(cells, shown[:UPPER] + below, strict=False):
+        (_draw_map if as_map else _draw_effects)(figure, cell, dataset, name)
+    if tally:
+        _draw_tally(figure.add_subplot(cells[-1]), tally, "lane_status" in dataset)
+    figure.suptitle(_heading(dataset, names[0], tally), fontsize=LABEL, x=0.02, ha="left")
+    return outside_legend(figure)
 
 
 def _measures(dataset: xarray.Dataset) -> list[str]:
     """Return the measures to draw: the known ones, then others, with two values somewhere."""
-    measured = [
-        n
-        for n in variables_of(dataset)
-        if dataset[n].dtype.kind == "f"
-        and not {*FREQUENCIES, *RESPONSES} & set(dataset[n].dims)
-        and parameters_of(dataset, n)
-    ]
+    measured = [name for name in measures_of(dataset) if parameters_of(dataset, name)]
     known = [next((n for n in group if n in measured), None) for group in MEASURES]
-    names = [n for n in known if n is not None]
     others = [n for n in measured if not any(n in group for group in MEASURES)]
     others = [n for n in others if not n.startswith(("d_", "jump_")) and n != "natural_frequency"]
-    names = [*names, *others][:MOST_MAPS] or measured[:MOST_MAPS]
+    names = [*filter(None, known), *others][:MOST_MAPS] or measured[:MOST_MAPS]
     if not names:
         raise ValueError(
             "dataset has no measure over a parameter with two values or more, so there is nothing "
@@ -117,17 +93,8 @@ def _measures(dataset: xarray.Dataset) -> list[str]:
     return names
 
 
-def _draw(
-    figure: Figure,
-    cell: SubplotSpec,
-    dataset: xarray.Dataset,
-    name: str,
-    as_map: bool,
-    key: Key,
-) -> None:
-    if not as_map:
-        _draw_effects(figure, cell, dataset, name)
-        return
+def _draw_map(figure: Figure, cell: SubplotSpec, dataset: xarray.Dataset, name: str) -> None:
+    """Draw a measure over its two longest axes, at the middle values of the others."""
     axes = figure.add_subplot(cell)
     axes.tick_params(labelsize=SMALL)
     parameters = parameters_of(dataset, name)
@@ -135,27 +102,24 @@ def _draw(
     y, x = sorted(longest, key=parameters.index)
     others = [d for d in dataset[name].dims if d not in longest]
     view = dataset.isel({d: dataset.sizes[d] // 2 for d in others})
-    across = read_axis(view, name, x), read_axis(view, name, y)
+    view, (across, up) = read_axes(view, name, x, y)
     view, words = with_regimes(view, name)
     shades = shades_of(view, name)
-    draw_cells(axes, view, name, across, shades, words, key)
-    scale_axes(axes, *across)
-    add_color_bar(figure, [axes], shades, "")
+    draw_cells(axes, view, name, (across, up), shades, words)
+    shades.bar([axes], "")
     lines = textwrap.wrap(label_for(view[name]), WRAP)
-    if fixed := fixed_text(view, name, fixed_names(dataset, name)):
+    if fixed := chosen_in(view, *fixed_names(dataset)):
         lines += textwrap.wrap(f"at {fixed}", WRAP)
-    axes.set_title("\n".join(lines), fontsize=LABEL, loc="left")
-    axes.set_xlabel(textwrap.fill(across[0].label, WRAP), fontsize=LABEL)
-    axes.set_ylabel(textwrap.fill(across[1].label, WRAP), fontsize=LABEL)
+    x, y = (textwrap.fill(axis.label(), WRAP) for axis in (across, up))
+    name_axes(axes, x, y, "\n".join(lines))
 
 
 def _draw_effects(figure: Figure, cell: SubplotSpec, dataset: xarray.Dataset, name: str) -> None:
     """Draw the median of a measure and its band over each parameter, those of most effect."""
     effects: list[tuple[float, MapAxis, np.ndarray]] = []
     for dimension in parameters_of(dataset, name):
-        axis = read_axis(dataset, name, dimension)
-        ahead = dataset[name].transpose(dimension, ...).values
-        spread = ahead.reshape(len(axis.places), -1)[axis.order]
+        view, (axis,) = read_axes(dataset, name, dimension)
+        spread = view[name].transpose(dimension, ...).values.reshape(len(axis.places), -1)
         bands = np.full((3, len(axis.places)), np.nan)
         filled = np.isfinite(spread).any(axis=1)
         if filled.any():
@@ -176,7 +140,7 @@ def _draw_effects(figure: Figure, cell: SubplotSpec, dataset: xarray.Dataset, na
         marker = "o" if line == "none" or len(axis.places) <= MOST_MARKERS else None
         axes.plot(axis.places, bands[1], linestyle=line, marker=marker, color=BLUE)
         scale_axes(axes, axis)
-        label = axis.label
+        label = axis.label()
         if axis.names is None and len(drawn) > 1:
             label = _label_ends(axes, axis)
         elif axis.names is not None:
@@ -184,9 +148,9 @@ def _draw_effects(figure: Figure, cell: SubplotSpec, dataset: xarray.Dataset, na
         dress(axes)
         axes.grid(False, axis="x")
         axes.tick_params(labelleft=shared is None)
-        axes.set_xlabel(textwrap.fill(label, 3 * WRAP // (1 + len(drawn))), fontsize=LABEL)
+        name_axes(axes, textwrap.fill(label, 3 * WRAP // (1 + len(drawn))))
         if shared is None:
-            axes.set_ylabel(textwrap.fill(measure, WRAP), fontsize=LABEL)
+            name_axes(axes, None, textwrap.fill(measure, WRAP))
             shared = axes
 
 
@@ -200,7 +164,7 @@ def _label_ends(axes: Axes, axis: MapAxis) -> str:
     axes.set_xticks([], minor=True)
     for text, side in zip(axes.get_xticklabels(), ("left", "right"), strict=True):
         text.set_horizontalalignment(side)
-    return axis.scaled_label(f"$10^{{{power}}}$" if power else "")
+    return axis.label(f"$10^{{{power}}}$" if power else "")
 
 
 def _tally(dataset: xarray.Dataset) -> dict[str, int]:
@@ -214,34 +178,22 @@ def _tally(dataset: xarray.Dataset) -> dict[str, int]:
     return {word: count for word, count in shown.items() if count or word == "settled"}
 
 
-def _draw_tally(axes: Axes, dataset: xarray.Dataset) -> None:
-    tally = _tally(dataset)
-    lanes = "lane_status" in dataset
+def _draw_tally(axes: Axes, tally: dict[str, int], lanes: bool) -> None:
     total = max(1, sum(tally.values()))
-    rows = np.arange(len(tally))
-    counts = np.array(list(tally.values()))
-    axes.barh(rows, counts, color=[BLUE if n == "settled" else ORANGE for n in tally])
-    for row, count in zip(rows, counts, strict=True):
-        axes.annotate(
-            f"{count} ({100 * count / total:.1f} %)",
-            xy=(count, row),
-            xytext=(5, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=SMALL,
-        )
-    axes.set_xlim(0, 1.9 * max(1, counts.max()))
-    axes.set_ylim(len(tally) - 0.4, -0.6)
-    axes.set_yticks(rows, list(tally))
+    bars = axes.barh(list(tally), list(tally.values()))
+    for bar, name in zip(bars, tally, strict=True):
+        bar.set_color(BLUE if name == "settled" else ORANGE)
+    shares = [f"{count} ({100 * count / total:.1f} %)" for count in tally.values()]
+    axes.bar_label(bars, shares, padding=5, fontsize=SMALL)
+    axes.set(xlim=(0, 1.9 * max(1, *tally.values())), ylim=(len(tally) - 0.4, -0.6))
     dress(axes)
     axes.grid(False)
     title = "How the lanes ended, by their worst point" if lanes else "How the points ended"
-    axes.set_title(textwrap.fill(title, WRAP - 6), fontsize=LABEL, loc="left")
-    axes.set_xlabel("Lanes" if lanes else "Points", fontsize=LABEL)
+    name_axes(axes, "Lanes" if lanes else "Points", title=textwrap.fill(title, WRAP - 6))
     axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
 
 
-def _heading(dataset: xarray.Dataset, name: str) -> str:
+def _heading(dataset: xarray.Dataset, name: str, tally: dict[str, int]) -> str:
     sizes = {d: dataset.sizes[d] for d in parameters_of(dataset, name)}
     lanes = int(np.prod(list(sizes.values())))
     names = {d: " with ".join(coordinates_along(dataset, d)).replace("_", " ") for d in sizes}
@@ -250,23 +202,20 @@ def _heading(dataset: xarray.Dataset, name: str) -> str:
     counted = f"{lanes} systems: {axes}"
     if axis := next((f for f in FREQUENCIES if f in dataset.coords), None):
         values = dataset[axis].values.ravel()
-        low, high = (word(axis, float(values[k])) for k in (0, -1))
-        reach = f"{low} to {high} in {len(values)} points" if len(values) > 1 else low
+        reach = f"{values[0]:.4g}"
+        if len(values) > 1:
+            reach += f" to {values[-1]:.4g} in {len(values)} points"
         counted += f"; {axis.replace('_', ' ')} {reach}{' Hz' * (axis == 'frequency')}"
     lines.append(counted)
-    if tally := _tally(dataset):
+    if tally:
         total = max(1, sum(tally.values()))
         what = "lanes" if "lane_status" in dataset else "points"
         shares = ", ".join(f"{n} {k} ({100 * n / total:.1f} %)" for k, n in tally.items())
         lines.append(f"{what}: {shares}")
     if cost := next((c for c in ("lane_steps", "steps") if c in dataset), None):
-        lines[-1] += f"; cost {_rounded(dataset[cost])} steps"
+        total = np.nansum(dataset[cost].values.astype(float))
+        lines[-1] += f"; cost {float(f'{total:.3g}'):,.0f} steps"
     if rig := str(dataset.attrs.get("rig", "")):
         rig = " ".join(rig.split()).replace("( ", "(")
         lines.append(textwrap.shorten(f"rig: {rig}", LINE, placeholder=" …"))
     return "\n".join(textwrap.fill(line, LINE) for line in lines)
-
-
-def _rounded(cost: xarray.DataArray) -> str:
-    total = np.nansum(cost.values.astype(float))
-    return f"{float(f'{total:.3g}'):,.0f}"

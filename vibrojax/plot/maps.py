@@ -42,7 +42,12 @@ def plot_map(
 def plot_map_summary(dataset: "xarray.Dataset") -> "Figure":
     """Draw a map on one page: its measures, what they depend on most, and how its lanes ended.
 
-    `dataset` is a result of `parameter_map`. Raises `ValueError` for one that is no map.
+    Up to four measures are drawn over the two longest axes, with the others at their middle value.
+    Of the first measure there are the effects of at most three parameters: the median over all
+    other axes, and the band that holds 80 % of the systems.
+
+    `dataset` is a result of `parameter_map`. Raises `ValueError` for one that is no map, or has no
+    measure over a parameter with two values.
     """
     from vibrojax.plot import map_summary
 

@@ -1,5 +1,6 @@
-"""Pictures of regimes: strips and maps of kinds, Poincaré sections, spectra."""
+"""Pictures of kinds of motion: regimes, sections, exponents, bifurcation diagrams and basins."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
@@ -8,27 +9,25 @@ import xarray
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, to_hex
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.plot.style import (
     COLORS,
     GREY,
-    MAX_LINES,
-    SMALL,
-    Key,
+    SERIES,
+    STYLES,
+    WORDS,
     chosen_in,
+    color_bar,
     edges_of,
+    family_colors,
     finish,
     label_for,
+    line_styles,
     name_axes,
     new_panels,
     new_picture,
     outside_legend,
-    scale_beside,
-    shades,
-    titled,
 )
 from vibrojax.results.axes import axes_of, axis_scale
 
@@ -43,6 +42,21 @@ KINDS = {
 PERIOD_COLORS = [to_hex(matplotlib.colormaps["Blues"](k)) for k in np.linspace(0.18, 0.86, 5)]
 """Of period 1, 2, 3, 4 and of longer ones."""
 HIGHEST = len(PERIOD_COLORS)
+POINTS: dict[str, dict[str, Any]] = {
+    "forward": {"marker": ".", "markersize": 4.0, "markeredgewidth": 0.0},
+    "backward": {
+        "marker": "o",
+        "markersize": 4.5,
+        "markerfacecolor": "none",
+        "markeredgewidth": 0.5,
+    },
+}
+"""Filled points upwards, rings downwards: told apart without colour too."""
+STARTS_AT = 5
+"""Share of the periods, percent, before which a mean is not drawn: it says nothing yet."""
+ATTRACTORS = SERIES[:7]
+"""Colours of periodic attractors, by share."""
+OTHER, DIVERGED = "white", COLORS["black"]
 
 
 def kinds_in(kind: xarray.DataArray) -> dict[str, np.ndarray]:
@@ -51,18 +65,6 @@ def kinds_in(kind: xarray.DataArray) -> dict[str, np.ndarray]:
     flags = zip(names, kind.attrs["flag_values"], strict=True)
     where = {name: np.asarray(kind.values == value) for name, value in flags}
     return {name: own for name, own in where.items() if own.any()}
-
-
-def _scatter(axes: Axes, view: xarray.Dataset, name: str) -> Key:
-    """Draw a variable, a colour and a marker for every kind of motion; return the legend."""
-    values = view[name]
-    x, key = values[values.dims[0]].values, {}
-    for kind, own in kinds_in(view["regime"]).items():
-        color, marker = KINDS[kind]
-        style: dict[str, Any] = {"color": color, "marker": marker, "linestyle": "none"}
-        axes.plot(x[own], values.values[own].astype(float), markersize=5.5, **style)
-        key[kind.replace("_", "-")] = Line2D([], [], markersize=7, **style)
-    return key
 
 
 def plot_regimes(regimes: xarray.Dataset) -> Figure:
@@ -74,8 +76,8 @@ def plot_regimes(regimes: xarray.Dataset) -> Figure:
         scale = axis_scale(axes_of(regimes, left), left[0])
         view = regimes.isel({left[0]: np.argsort(scale.places)})
         edges = edges_of(regimes[axis].values), edges_of(np.sort(scale.places))
-        key = _category_map(upper, view, edges)
-        _exponent_map(figure, lower, view["lyapunov_exponent"], edges)
+        _category_map(upper, view, edges)
+        _exponent_map(lower, view["lyapunov_exponent"], edges)
         for axes in (upper, lower):
             axes.grid(False)
             name_axes(axes, None, scale.label)
@@ -84,18 +86,21 @@ def plot_regimes(regimes: xarray.Dataset) -> Figure:
             if left[0] == "start":
                 axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     else:
-        key = _scatter(upper, regimes, "period")
-        _name_periods(upper, int(regimes["period"].max()))
         lower.axhline(0.0, color=GREY, linewidth=1.0)
-        error = 2 * regimes["lyapunov_standard_error"].values
+        x, error = regimes[axis].values, 2 * regimes["lyapunov_standard_error"].values
         style: dict[str, Any] = {"fmt": "none", "ecolor": GREY, "elinewidth": 0.9}
-        lower.errorbar(regimes[axis].values, exponent.values, error, **style)
-        _scatter(lower, regimes, "lyapunov_exponent")
+        lower.errorbar(x, exponent.values, error, **style)
+        for kind, own in kinds_in(regimes["regime"]).items():
+            color, marker = KINDS[kind]
+            for axes, name in ((upper, "period"), (lower, "lyapunov_exponent")):
+                style = {"color": color, "marker": marker, "markersize": 5.5}
+                style |= {"linestyle": "none", "label": kind.replace("_", "-")}
+                axes.plot(x[own], regimes[name].values[own].astype(float), **style)
+        _name_periods(upper, int(regimes["period"].max()))
         name_axes(lower, None, label_for(exponent))
-    outside_legend(figure, key)
-    titled(upper, chosen_in(regimes))
-    name_axes(lower, label_for(regimes[axis]), None)
-    return figure
+    name_axes(upper, title=chosen_in(regimes))
+    name_axes(lower, label_for(regimes[axis]))
+    return outside_legend(figure)
 
 
 def _name_periods(axes: Axes, longest: int) -> None:
@@ -108,8 +113,8 @@ def _name_periods(axes: Axes, longest: int) -> None:
     axes.set_yticks([0, *ticks], ["none", *(f"{t:.0f}" for t in ticks)])
 
 
-def _category_map(axes: Axes, view: xarray.Dataset, edges: tuple[np.ndarray, np.ndarray]) -> Key:
-    """Draw kinds over two axes, periodic ones by their period; return the legend."""
+def _category_map(axes: Axes, view: xarray.Dataset, edges: tuple[np.ndarray, np.ndarray]) -> None:
+    """Draw kinds over two axes, periodic ones by their period."""
     period = view["period"].values
     others = [kind for kind in KINDS if kind != "periodic"]
     colors = [*PERIOD_COLORS, *(KINDS[kind][0] for kind in others)]
@@ -123,68 +128,159 @@ def _category_map(axes: Axes, view: xarray.Dataset, edges: tuple[np.ndarray, np.
     words = [f"period {k}" for k in range(1, HIGHEST + 1)]
     words[-1] += f" to {longest}" * (longest > HIGHEST)
     words += [kind.replace("_", "-") for kind in others]
-    present = [k for k in range(len(colors)) if (category == k).any()]
-    return {words[k]: Patch(facecolor=colors[k], edgecolor=GREY, linewidth=0.5) for k in present}
+    for k in np.unique(category):
+        _name_color(axes, words[k], colors[k], GREY)
+
+
+def _name_color(axes: Axes, words: str, color: str, edge: str = "black") -> None:
+    """Add a colour to the legend."""
+    axes.fill_between([], [], facecolor=color, edgecolor=edge, linewidth=0.5, label=words)
 
 
 def _exponent_map(
-    figure: Figure, axes: Axes, exponent: xarray.DataArray, edges: tuple[np.ndarray, np.ndarray]
+    axes: Axes, exponent: xarray.DataArray, edges: tuple[np.ndarray, np.ndarray]
 ) -> None:
     known = exponent.values[np.isfinite(exponent.values)]
     # As far down as up: how strongly a periodic motion attracts says nothing of the regime.
     high = known.max(initial=0.0)
     reach = high if high > 0 else max(np.abs(known).max(initial=0.0), 1e-12)
-    norm = Normalize(-reach, reach)
-    colors = matplotlib.colormaps["RdBu_r"]
-    drawn = axes.pcolormesh(*edges, exponent.values, cmap=colors, norm=norm, rasterized=True)
+    style: dict[str, Any] = {"cmap": "RdBu_r", "norm": Normalize(-reach, reach)}
+    drawn = axes.pcolormesh(*edges, exponent.values, rasterized=True, **style)
     below = bool((known < -reach).any())
-    bar = figure.colorbar(drawn, ax=axes, pad=0.02, extend="min" if below else "neither")
-    bar.set_label(label_for(exponent), fontsize=SMALL)
-    bar.ax.tick_params(labelsize=SMALL)
+    label = label_for(exponent).replace("Lyapunov ", "Lyapunov\n")
+    color_bar([axes], drawn, label, extend="min" if below else "neither")
 
 
 def plot_poincare(regimes: xarray.Dataset) -> Figure:
     """Draw displacement and velocity at every drive period, of one lane or along one axis."""
-    figure, axes = new_picture()
+    _, axes = new_picture()
     across, up = regimes["displacement"], regimes["velocity"]
     left = [str(d) for d in regimes["regime"].dims]
-    title, key = chosen_in(regimes), {}
+    title = chosen_in(regimes)
     # Points of a period are few and seen well; those of a chaotic motion are many and small.
     if not left:
         (kind,), period = kinds_in(regimes["regime"]), int(regimes["period"])
         color, marker = KINDS[kind]
         size = 4.0 if kind == "chaotic" else 8.0
-        style = {"marker": marker, "color": color, "markersize": size, "linestyle": "none"}
-        axes.plot(across, up, **style)
+        axes.plot(across, up, linestyle="none", color=color, marker=marker, markersize=size)
         words = kind.replace("_", "-") + (f", period {period}" if period > 0 else "")
         title = ", ".join(part for part in (words, title) if part)
     else:
         scale = axis_scale(axes_of(regimes, left), left[0])
-        values = scale.places
-        if len(values) <= MAX_LINES:
-            colors = shades(len(values))
-            dots: dict[str, Any] = {"marker": "o", "linestyle": "none"}
-            lines = [Line2D([], [], color=color, **dots) for color in colors]
-            key = dict(zip(scale.labels, lines, strict=True))
-        else:
-            norm = Normalize(float(values.min()), float(values.max()))
-            colors = map(scale_beside(figure, axes, norm, scale.label), values)
-        for k, color in enumerate(colors):
+        for k, color in enumerate(family_colors(axes, scale, marker="o", linestyle="none")):
             axes.plot(across[k], up[k], ".", color=color, markersize=5)
     at = "at drive phase 0"
-    names = f"Displacement {at} (m)", f"Velocity {at} (m/s)"
-    return finish(figure, axes, *names, key, title)
+    return finish(axes, f"Displacement {at} (m)", f"Velocity {at} (m/s)", title)
 
 
 def plot_order_spectrum(regimes: xarray.Dataset) -> Figure:
     """Draw the amplitudes of one lane against frequency over drive frequency."""
     spectrum = regimes["spectrum"]
     orders, lines = spectrum["order"].values, spectrum.values
-    figure, axes = new_picture()
+    _, axes = new_picture()
     axes.semilogy(orders, lines, color=COLORS["blue"], linewidth=1.3)
     axes.set_xlim(0, orders[-1])
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     top = float(np.nanmax(lines)) if np.isfinite(lines).any() else 1.0
     axes.set_ylim(max(1e-6 * top, float(np.nanmin(lines)) / 2) or None, 2 * top)
-    names = label_for(spectrum["order"]), label_for(spectrum)
-    return finish(figure, axes, *names, {}, chosen_in(regimes))
+    return finish(axes, label_for(spectrum["order"]), label_for(spectrum), chosen_in(regimes))
+
+
+def plot_lyapunov(found: xarray.Dataset) -> Figure:
+    """Draw the mean rate up to every drive period, and the exponent with its error."""
+    _, axes = new_picture()
+    rates, count = found["rate"].values, found["drive_period"].values
+    shown = slice(rates.size * STARTS_AT // 100, None)
+    mean, style = np.cumsum(rates) / count, {"color": COLORS["blue"], "linewidth": 2.0}
+    axes.plot(count[shown], mean[shown], label="mean rate so far", **style)
+    value, error = (float(found[f"lyapunov_{name}"]) for name in ("exponent", "standard_error"))
+    color, band = COLORS["orange"], (value - 2 * error, value + 2 * error)
+    axes.axhline(value, color=color, linestyle=STYLES["backward"], linewidth=1.5)
+    words = f"exponent {value:.4g} 1/s and two standard errors"
+    axes.axhspan(*band, color=color, alpha=0.2, label=words)
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    return finish(axes, "Drive periods", label_for(found["rate"]))
+
+
+def plot_bifurcation_diagram(diagram: xarray.Dataset) -> Figure:
+    """Draw strobed displacements and exponents against the parameter, in its directions."""
+    figure, (upper, lower) = new_panels([4.4, 2.0])
+    parameter = diagram[diagram["period"].dims[-1]]
+    x, exponent = parameter.values, diagram["lyapunov_exponent"]
+    for direction in reversed(diagram["direction"].values.tolist()):  # rings lie below the points
+        style: dict[str, Any] = POINTS[direction] | {"color": COLORS[direction]}
+        style |= {"linestyle": "none", "label": WORDS[direction]}
+        own = diagram.sel(direction=direction)
+        strobed = own["displacement"].values
+        many = np.broadcast_to(x[:, None], strobed.shape)
+        upper.plot(many.ravel(), strobed.ravel(), rasterized=True, **style)
+        error = 2 * own["lyapunov_standard_error"].values
+        style |= {"markersize": 7.0, "ecolor": GREY, "elinewidth": 0.7}
+        lower.errorbar(x, own["lyapunov_exponent"].values, error, **style)
+    lower.axhline(0.0, color=GREY, linewidth=1.0)
+    name_axes(upper, None, "Displacement at drive phase 0 (m)", chosen_in(diagram, "direction"))
+    name_axes(lower, label_for(parameter), label_for(exponent).replace("Lyapunov ", "Lyapunov\n"))
+    return outside_legend(figure)
+
+
+def plot_basins(basins: xarray.Dataset, starts: Sequence[str], names: Sequence[str]) -> Figure:
+    """Draw the basins at one combination of the other axes.
+
+    `starts` are the names of the two numbers, `names` say in words what the attractors are.
+    """
+    _, axes = new_picture()
+    number = basins["attractor"].values
+    colors = [DIVERGED]
+    periodic, others = iter(ATTRACTORS), 0.0
+    for k, name in enumerate(names):
+        own = basins.isel(attractor_number=k)
+        color = COLORS["dark" if bool(own["cross_well"]) else "pale"]
+        if int(own["period"]):
+            color = next(periodic, OTHER)
+        colors.append(color)
+        share, error = 100 * float(own["share"]), 100 * float(own["standard_error"])
+        if color == OTHER:
+            others += share
+        elif share:
+            _name_color(axes, f"{name}: {share:.1f} ± {error:.1f} %", color)
+    if others:
+        _name_color(axes, f"further attractors: {others:.1f} %", OTHER)
+    if lost := float(np.mean(number == 0)):
+        _name_color(axes, f"diverged: {100 * lost:.1f} %", DIVERGED)
+    axes.grid(False)
+    cells: dict[str, Any] = {"vmin": -0.5, "vmax": len(colors) - 0.5}
+    cells["cmap"] = ListedColormap(colors)
+    x, y = (basins[name].values.astype(float) for name in starts)
+    if number.ndim == 2:
+        axes.pcolormesh(edges_of(x), edges_of(y), number.T, rasterized=True, **cells)
+    else:
+        size = float(np.clip(3000 / max(number.size, 1), 4, 40))
+        axes.scatter(x, y, c=number, s=size, edgecolors="black", linewidths=0.2, **cells)
+    across, up = (label_for(basins[name]) for name in starts)
+    return finish(axes, across, up, chosen_in(basins))
+
+
+def plot_orbits(
+    basins: xarray.Dataset,
+    orbits: Sequence[tuple[np.ndarray, np.ndarray]],
+    names: Sequence[str],
+    samples: int,
+) -> Figure:
+    """Draw every attractor in the plane of displacement and velocity, marked at drive phase 0.
+
+    `orbits` are the displacements (m) and velocities (m/s) over a period, with so many samples to
+    a drive period; `names` say in words what the attractors are.
+    """
+    _, axes = new_picture()
+    for k, (orbit, style) in enumerate(zip(orbits, line_styles(len(orbits)), strict=True)):
+        across, along = 1e3 * orbit[0], orbit[1]
+        amplitude, share = (float(basins[n].values[k]) for n in ("amplitude_ratio", "share"))
+        label = f"{k + 1}: {names[k]}, amplitude ratio {amplitude:.4g}, "
+        label += f"{100 * share:.3g} % of starts"
+        axes.plot(across, along, linewidth=2.0, label=label, **style)
+        strobed = slice(0, -1, samples)
+        axes.plot(across[strobed], along[strobed], "o", color=style["color"], markersize=7)
+    title = f"{chosen_in(basins)}; dots: drive phase 0"
+    if lost := float(basins["diverged_share"]):
+        title += f"; {100 * lost:.3g} % of starts diverged"
+    return finish(axes, "Displacement (mm)", "Velocity (m/s)", title)

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import xarray
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from vibrojax.plot.style import (
     COLORS,
@@ -14,7 +13,6 @@ from vibrojax.plot.style import (
     SMALL,
     SYMBOLS,
     finish,
-    key_of,
     label_for,
     new_picture,
 )
@@ -29,9 +27,8 @@ def plot_resolution(check: xarray.Dataset) -> Figure:
 
     Hollow markers at the right end are changes without a size.
     """
-    figure, axes = new_picture()
+    _, axes = new_picture()
     relative, names = check["relative_change"], check["number"].values.tolist()
-    hollow = False
     for k, what in enumerate(check["refinement"].values.tolist()):
         marker, color = STYLES[k % len(STYLES)]
         changes = np.maximum(relative.values[k], LEAST)
@@ -39,15 +36,12 @@ def plot_resolution(check: xarray.Dataset) -> Figure:
         known = np.isfinite(changes)
         style: dict[str, Any] = {"marker": marker, "color": COLORS[color], "markersize": 9}
         axes.plot(changes[known], places[known], linestyle="none", label=what, **style)
-        if not known.all():
-            lost, beside = places[~known], axes.get_yaxis_transform()
-            axes.plot(np.full(len(lost), 0.985), lost, transform=beside, **(style | HOLLOW))
-            hollow = True
+        lost, beside = places[~known], axes.get_yaxis_transform()
+        axes.plot(np.full(len(lost), 0.985), lost, transform=beside, **(style | HOLLOW))
+    if not np.isfinite(relative.values).all():
+        words = "from 0, came or went, or not finite"
+        axes.plot([], [], "o", color=GREY, markersize=9, label=words, **HOLLOW)
     axes.set_xscale("log")
     axes.set_yticks(range(len(names)), [n.replace("_", " ") for n in names], fontsize=SMALL)
     axes.invert_yaxis()
-    key = key_of(axes)
-    if hollow:
-        mark = Line2D([], [], marker="o", color=GREY, markersize=9, **HOLLOW)
-        key["from 0, came or went, or not finite"] = mark
-    return finish(figure, axes, f"{label_for(relative)} ({LEAST:g}: none)", "", key)
+    return finish(axes, f"{label_for(relative)} ({LEAST:g}: none)", "")

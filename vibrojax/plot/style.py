@@ -1,29 +1,30 @@
-"""The style of all pictures, drawn without a display and without pyplot."""
+"""The style of all pictures, drawn without a display and without pyplot.
+
+A legend has what was drawn with a `label`, once each; an empty line adds an entry of its own.
+"""
 
 import io
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
 import numpy as np
 import xarray
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
+from vibrojax.results.axes import AxisScale
 from vibrojax.results.variables import axis_description, named_value, with_unit
 
 SIZE, DPI = (10.0, 6.4), 150  # inches and dots per inch: 1500 pixels wide
 FRAME = 1.2
 """Height of what is around the panels of a picture, inches."""
 LABEL, SMALL = 13, 11  # points
-LETTERS = 9
-"""Letters of a label to an inch."""
 COLORS = {
     "blue": "#0060a8",
     "amber": "#e69f00",
@@ -53,15 +54,15 @@ SYMBOLS = ("o", "^", "s", "D")
 MARKERS = {"forward": ">", "backward": "<"}
 STYLES = {"forward": "-", "backward": (0, (5, 1.6))}
 WORDS = {"forward": "forward sweep", "backward": "backward sweep"}
+ARROWS = {"forward": "forward sweep \u2192", "backward": "\u2190 backward sweep"}
 LINE_STYLES = ("-", (0, (6, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 DASHES = (0, (4, 2))
 """Of what is unstable."""
 HOLLOW: dict[str, Any] = {"linestyle": "none", "markerfacecolor": "white"}
 MAX_LINES = 8
 """Lines that a legend names one by one; more get a colour bar."""
-
-Key = dict[str, Artist]
-"""What a legend says, by its words."""
+MARKER = 7.0
+"""Least size of a marker in a legend, points."""
 
 
 class Picture(Figure):
@@ -105,18 +106,24 @@ def dress(axes: Axes) -> None:
         axes.spines[side].set_visible(False)
 
 
-def name_axes(axes: Axes, x: str | None, y: str | None) -> None:
-    """Write the names of the axes."""
+def name_axes(
+    axes: Axes, x: str | None = None, y: str | None = None, title: str | None = None
+) -> None:
+    """Write the names of the axes, and a title above them."""
     if x is not None:
         axes.set_xlabel(x, fontsize=LABEL)
     if y is not None:
         axes.set_ylabel(y, fontsize=LABEL)
-
-
-def titled(axes: Axes, title: str) -> None:
-    """Write something above the axes."""
     if title:
         axes.set_title(title, fontsize=LABEL, loc="left")
+
+
+def finish(axes: Axes, x: str, y: str, title: str = "") -> Figure:
+    """Write the names of the axes, the title and the legend, and return the picture."""
+    name_axes(axes, x, balanced(y, 55), title)
+    figure = axes.figure
+    assert isinstance(figure, Figure)
+    return outside_legend(figure)
 
 
 def label_for(array: xarray.DataArray) -> str:
@@ -125,10 +132,20 @@ def label_for(array: xarray.DataArray) -> str:
     return with_unit(told["long_name"], told["units"])
 
 
+def fixed_names(view: xarray.Dataset) -> tuple[str, ...]:
+    """Return the names of the coordinates of which a dataset has one value."""
+    return tuple(str(name) for name, c in view.coords.items() if not c.ndim)
+
+
 def chosen_in(view: xarray.Dataset, *without: str) -> str:
     """Return the coordinates of which a dataset has one value, `gap = 0.0004 m`, for a title."""
-    fixed = {str(n): c.item() for n, c in view.coords.items() if not c.ndim and n not in without}
-    return ", ".join(named_value(name, value) for name, value in fixed.items())
+    texts = []
+    names = [name for name in fixed_names(view) if name not in without]
+    for name in sorted(names, key="direction".__eq__):  # the direction last
+        value, units = view[name].item(), view[name].attrs.get("units")
+        text = named_value(name, value, units)
+        texts.append(ARROWS.get(value, text) if name == "direction" else text)
+    return ", ".join(texts)
 
 
 def balanced(label: str, most: int = 34) -> str:
@@ -137,9 +154,11 @@ def balanced(label: str, most: int = 34) -> str:
     return label if rows < 2 else textwrap.fill(label, len(label) // rows + 6)
 
 
-def within(label: str, height: float) -> str:
-    """Return a label in lines that fit beside a panel of some height (inches)."""
-    return textwrap.fill(label, int(LETTERS * height))
+def within(label: str, length: float) -> str:
+    """Return a label in lines that fit into some length (inches)."""
+    together = label.replace(" = ", "\xa0=\xa0")
+    wrapped = textwrap.fill(together, int(8 * length))  # letters to an inch
+    return wrapped.replace("\xa0", " ")
 
 
 def mark_places(panels: Sequence[Axes], places: Sequence[tuple[float, str, str]]) -> None:
@@ -177,13 +196,36 @@ def shades(count: int) -> Any:
     return matplotlib.colormaps["viridis"](np.linspace(0.0, 0.85, count))
 
 
-def scale_beside(figure: Figure, axes: Axes, norm: Normalize, label: str) -> Any:
-    """Add the colour bar of lines, and return the colours by value."""
-    colors = matplotlib.colormaps["viridis"]
-    bar = figure.colorbar(ScalarMappable(norm, colors), ax=axes, pad=0.02)
+def line_styles(count: int) -> list[dict[str, Any]]:
+    """Return a colour and a dash pattern for each of several lines in an order."""
+    dashes = (LINE_STYLES[k % len(LINE_STYLES)] for k in range(count))
+    return [{"color": c, "linestyle": d} for c, d in zip(shades(count), dashes, strict=True)]
+
+
+def family_colors(axes: Axes, scale: AxisScale, **entry: Any) -> Any:
+    """Return a colour for every value of an axis, explained by the legend or by a colour bar.
+
+    `entry` is the style of the lines in the legend.
+    """
+    values = scale.places
+    if len(values) <= MAX_LINES:
+        colors = shades(len(values))
+        for color, label in zip(colors, scale.labels, strict=True):
+            axes.plot([], [], color=color, label=label, **entry)
+        return colors
+    logarithmic = values.min() > 0 and values.max() > 30 * values.min()
+    norm = (LogNorm if logarithmic else Normalize)(values.min(), values.max())
+    mappable = ScalarMappable(norm, matplotlib.colormaps["viridis"])
+    color_bar([axes], mappable, scale.label)
+    return mappable.to_rgba(values)
+
+
+def color_bar(panels: Sequence[Axes], drawn: ScalarMappable, label: str, **settings: Any) -> Any:
+    """Add the colour bar that some panels share, and return it."""
+    bar = panels[0].figure.colorbar(drawn, ax=list(panels), pad=0.02, **settings)
     bar.set_label(label, fontsize=LABEL)
     bar.ax.tick_params(labelsize=SMALL)
-    return lambda value: colors(norm(value))
+    return bar
 
 
 def draw_stable(
@@ -192,65 +234,42 @@ def draw_stable(
     y: np.ndarray,
     stable: np.ndarray,
     joined: np.ndarray | None = None,
+    words: tuple[str, str] = ("stable", "unstable"),
+    entry: str = GREY,
     **style: Any,
-) -> set[bool]:
-    """Draw a curve, stable solid and unstable dashed; return which of the two there are.
+) -> None:
+    """Draw a curve, stable solid and unstable dashed.
 
-    What follows a point is as it is; `joined` says where something follows.
+    What follows a point is as it is; `joined` says where something follows. `words` are what the
+    legend says of the two, with lines of the colour `entry`.
     """
     kind = np.asarray(stable, bool).astype(int)[:-1]
     if joined is not None:
         kind = np.where(np.asarray(joined, bool)[:-1], kind, -1)
     edges = np.flatnonzero(np.diff(kind)) + 1
-    drawn: set[bool] = set()
     for start, stop in zip(np.r_[0, edges], np.r_[edges, len(kind)], strict=True):
         if start == stop or kind[start] < 0:
             continue
-        drawn.add(bool(kind[start]))
         part = slice(start, stop + 1)
         axes.plot(x[part], y[part], linestyle="-" if kind[start] else DASHES, **style)
-    return drawn
+    for known, word, dashes in zip((1, 0), words, ("-", DASHES), strict=True):
+        if (kind == known).any():
+            axes.plot([], [], label=word, **(style | {"linestyle": dashes, "color": entry}))
 
 
-def stability_key(drawn: set[bool], words: tuple[str, str], **style: Any) -> Key:
-    """Return what a legend says of stable and unstable lines."""
-    lines = {True: "-", False: DASHES}
-    return {
-        word: Line2D([], [], linestyle=lines[stable], **style)
-        for word, stable in zip(words, (True, False), strict=True)
-        if stable in drawn
-    }
-
-
-def finish(
-    figure: Figure, axes: Axes, x: str, y: str, key: Mapping[str, Artist], title: str = ""
-) -> Figure:
-    """Write the names of the axes, the title and the legend, and return the picture."""
-    name_axes(axes, x, y)
-    titled(axes, title)
-    outside_legend(figure, key)
-    return figure
-
-
-def key_of(*panels: Axes) -> Key:
-    """Return the labels of what was drawn, with its lines and patches."""
-    key: Key = {}
-    for axes in panels:
-        lines, labels = axes.get_legend_handles_labels()
-        for line, label in zip(lines, labels, strict=True):
-            key.setdefault(label, line)
-    return key
-
-
-def outside_legend(figure: Figure, key: Mapping[str, Artist], *, above: bool = False) -> None:
+def outside_legend(figure: Figure, *, above: bool = False) -> Figure:
     """Put the legend below the axes (or above them), where it covers nothing."""
+    key: dict[str, Any] = {}
+    for axes in figure.axes:
+        for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            key.setdefault(label, line)
     if not key:
-        return
+        return figure
     labels = list(key)
     counts = range(len(labels), 0, -1)
     width = figure.get_figwidth()
     columns = next(n for n in counts if n == 1 or _width(labels, n) < 0.95 * width)
-    figure.legend(
+    legend = figure.legend(
         list(key.values()),
         labels,
         loc="outside upper center" if above else "outside lower center",
@@ -259,6 +278,10 @@ def outside_legend(figure: Figure, key: Mapping[str, Artist], *, above: bool = F
         frameon=False,
         handlelength=3.4,
     )
+    for line in legend.legend_handles:
+        if isinstance(line, Line2D):
+            line.set(markersize=max(MARKER, line.get_markersize()), alpha=1.0)
+    return figure
 
 
 def _width(labels: list[str], columns: int) -> float:

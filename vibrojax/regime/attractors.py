@@ -8,14 +8,15 @@ leaves it again. Pilots go first: the others arrive, in shorter windows, where t
 attractor that is known.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+import scipy
+from jaxtyping import Float, Int
 
-from vibrojax.regime.observing import Sampling, sample_motions
-from vibrojax.regime.poincare_map import PoincareMap, SectionPlan, width_for
+from vibrojax.regime.observing import sample_motions
+from vibrojax.regime.poincare_map import PoincareMap, Report, width_for
+from vibrojax.regime.settings import BasinSettings
 
 MARCHING, CANDIDATE, PARKED, ARRIVED, APERIODIC, LOST, WAITING = range(7)
 PILOTS = 16
@@ -39,23 +40,20 @@ WATCHED = (24, 60)
 NARROW, MANY = 16, 8
 """Lanes of a narrow loop, and full loops of starts from which on there is one."""
 TINY = 1e-300
+ONWARDS = 200
+"""Drive periods by which the states of attractors are marched on before they are kept."""
 SAMPLES = 32
 """Samples per drive period of what is watched."""
 
 
-class BasinPlan(NamedTuple):
-    """How long starts are marched, and when two motions are the same."""
-
-    transient: int
-    """Drive periods after which a start that has not settled has one window left."""
-    periods: int
-    """Drive periods of a window."""
-    max_period: int
-    tolerance: float
-    """Relative return that makes a period, and distance within which two states are one."""
-    barrier: float
-    """Displacement between the wells, m."""
-    distinguish_phases: bool
+DESCRIBED = {
+    "cross_well": "cross_well",
+    "mean_displacement": "displacement_mean",
+    "strain_power_rms": "strain_power_rms",
+    "amplitude_ratio": "amplitude_ratio",
+    "contact_force": "contact_force",
+}
+"""What is known of an attractor, and the number of its motion that says it."""
 
 
 class Attractors(NamedTuple):
@@ -63,12 +61,10 @@ class Attractors(NamedTuple):
 
     number: Int[np.ndarray, " starts"]
     """Attractor of every start, from 1; 0 for a start that diverged."""
-    period: Int[np.ndarray, " attractors"]
-    """Drive periods; 0 for the motions without one."""
-    cross_well: Bool[np.ndarray, " attractors"]
-    mean_displacement: Float[np.ndarray, " attractors"]
-    strain_power_rms: Float[np.ndarray, " attractors"]
     periods_marched: Int[np.ndarray, " starts"]
+    described: dict[str, np.ndarray]
+    """Over the attractors: `period` in drive periods (0 for motions without one), what DESCRIBED
+    names, and the `initial_state` at drive phase 0, of a motion without a period that of one."""
 
 
 class _Orbit(NamedTuple):
@@ -90,9 +86,9 @@ class _Orbit(NamedTuple):
 class _Search:
     """Starts on their ways; lane k is start k % starts of place k // starts."""
 
-    def __init__(self, poincare, rig, frequency, starts, plan: BasinPlan, report):
+    def __init__(self, poincare, rig, frequency, starts, settings: BasinSettings, report):
         places, count, _ = starts.shape
-        self.poincare, self.plan, self.report = poincare, plan, report
+        self.poincare, self.settings, self.report = poincare, settings, report
         self.place = np.repeat(np.arange(places), count)
         self.rig, self.frequency = rig[self.place], frequency[self.place]
         self.state = starts.reshape(places * count, -1).copy()
@@ -145,14 +141,12 @@ class _Search:
 
     def _join(self, place, lanes, record):
         """Let lanes arrive that run along an orbit of their place all through a short window."""
-        from scipy.spatial.distance import cdist
-
         rows, best = np.arange(len(lanes)), np.full(len(lanes), np.inf)
         orbit, shift = np.zeros(len(lanes), int), np.zeros(len(lanes), int)
         back = np.arange(SHORT)[::-1]
         for k, known in enumerate(self.orbits[place]):
             n = known.period
-            away = cdist(record.reshape(-1, record.shape[2]), known.section)
+            away = scipy.spatial.distance.cdist(record.reshape(-1, record.shape[2]), known.section)
             away = away.reshape(len(lanes), SHORT, n) / max(known.size, TINY)
             # By the state at which the window would end.
             path = [away[:, np.arange(SHORT), (end - back) % n].max(axis=1) for end in range(n)]
@@ -161,13 +155,13 @@ class _Search:
             nearer = farthest < best
             best, orbit = np.where(nearer, farthest, best), np.where(nearer, k, orbit)
             shift = np.where(nearer, (end - self.marched[lanes]) % n, shift)
-        near = best <= self.plan.tolerance
+        near = best <= self.settings.period_tolerance
         self.orbit[lanes[near]], self.shift[lanes[near]] = orbit[near], shift[near]
         self._end(lanes[near], ARRIVED)
 
     def _settle(self) -> None:
         """March what marches, window by window, and find the attractors."""
-        budget = self.plan.transient + self.plan.periods
+        budget = self.settings.transient + self.settings.periods
         while True:
             lanes = np.flatnonzero(self.stage <= CANDIDATE)
             if not lanes.size:
@@ -190,22 +184,27 @@ class _Search:
 
     def _march(self, lanes):
         """March a window; returns period and error of the return."""
-        plan = self.plan
+        settings = self.settings
         every = self._filled(lanes)
-        window = SectionPlan(0, plan.periods, plan.max_period, plan.tolerance, False)
         found = self.poincare.observe(
-            self.rig[every], self.frequency[every], self.state[every], window
+            self.rig[every],
+            self.frequency[every],
+            self.state[every],
+            periods=settings.periods,
+            max_period=settings.max_period,
+            tolerance=settings.period_tolerance,
         )
-        n = len(lanes)
-        self.state[lanes] = found.end[:n]
-        self.marched[lanes] += plan.periods
-        period, error, alive = found.period[:n], found.return_error[:n], found.alive[:n]
+        found = {name: values[: len(lanes)] for name, values in found.items()}
+        self.state[lanes] = found["end"]
+        self.marched[lanes] += settings.periods
+        period, error, alive = found["period"], found["return_error"], found["alive"]
         self._end(lanes[~alive], LOST)
         return np.where(alive, period, 0), error
 
     def _end(self, lanes, stage):
         self.stage[lanes] = stage
-        self.report(len(lanes))
+        if self.report is not None:
+            self.report(len(lanes))
 
     def _weighted(self, lanes):
         return self.state[lanes] * self.weight[self.place[lanes]]
@@ -216,14 +215,14 @@ class _Search:
         self.windows[lanes[own]] += 1
         gone = own[period[own] == 0]
         self.stage[lanes[gone]] = MARCHING
-        near = error <= self.plan.tolerance / CLOSER
+        near = error <= self.settings.period_tolerance / CLOSER
         near |= self.windows[lanes] >= WINDOWS
         ready = own[(period[own] > 0) & near[own]]
         if not ready.size:
             return
         chosen = lanes[ready]
         parts, begin = [self.state[chosen][:, None]], self.state[chosen].copy()
-        for _ in range(-(-self.plan.max_period // SHORT)):
+        for _ in range(-(-self.settings.max_period // SHORT)):
             parts.append(self._record(chosen))
             self.state[chosen] = parts[-1][:, -1]
         self.state[chosen] = begin
@@ -240,31 +239,25 @@ class _Search:
             self.orbits[place].append(_Orbit(section * self.weight[place], section[0]))
             self._match(place)
 
-    def _distances(self, place, lanes):
-        """Distance of some lanes from every orbit, relative to its size, and its nearest state."""
-        from scipy.spatial.distance import cdist
-
-        states = self._weighted(lanes)
-        away = [cdist(states, orbit.section) for orbit in self.orbits[place]]
-        nearest = np.stack([a.argmin(axis=1) for a in away], axis=1)
-        sizes = [max(orbit.size, TINY) for orbit in self.orbits[place]]
-        distance = np.stack([a.min(axis=1) / s for a, s in zip(away, sizes, strict=True)], axis=1)
-        return distance, nearest
-
     def _match(self, place, within=1.0):
         """Give parked starts of a place to the orbits that they are near."""
         lanes = np.flatnonzero((self.stage == PARKED) & (self.place == place))
         if not self.orbits[place] or not lanes.size:
             return
-        distance, nearest = self._distances(place, lanes)
-        best = distance.argmin(axis=1)
-        rows = np.arange(len(lanes))
-        near = distance[rows, best] <= within * self.plan.tolerance
-        own, orbit = lanes[near], best[near]
-        self.orbit[own] = orbit
-        periods = np.array([o.period for o in self.orbits[place]])[orbit]
-        self.shift[own] = (nearest[rows, best][near] - self.marched[own]) % periods
-        self._end(own, ARRIVED)
+        states = self._weighted(lanes)
+        away = [
+            scipy.spatial.distance.cdist(states, o.section) / max(o.size, TINY)
+            for o in self.orbits[place]
+        ]
+        distance = np.stack([a.min(axis=1) for a in away])
+        best = distance.argmin(axis=0)
+        near = distance.min(axis=0) <= within * self.settings.period_tolerance
+        for row in np.flatnonzero(near):
+            lane, k = lanes[row], best[row]
+            period = self.orbits[place][k].period
+            self.orbit[lane] = k
+            self.shift[lane] = (away[k][row].argmin() - self.marched[lane]) % period
+        self._end(lanes[near], ARRIVED)
 
     def _choose(self, place, budget):
         """Choose candidates among the parked starts of a place; the others wait or march on."""
@@ -291,7 +284,7 @@ class _Search:
             self.stage[parked[first]] = CANDIDATE
             self.windows[parked[first]] = 0
             away = np.sqrt(np.sum((states - states[first]) ** 2, axis=1))
-            left &= away > self.plan.tolerance * np.sqrt(np.sum(states[first] ** 2))
+            left &= away > self.settings.period_tolerance * np.sqrt(np.sum(states[first] ** 2))
             left[first] = False
         if self.orbits[place]:  # what is near none of them yet comes nearer
             self.stage[mine & (self.stage == PARKED) & ~late] = MARCHING
@@ -302,11 +295,11 @@ def find_attractors(
     rig: Int[np.ndarray, " places"],
     angular_frequency: Float[np.ndarray, " places"],
     starts: Float[np.ndarray, "places starts states"],
-    plan: BasinPlan,
-    report: Callable[[int], object] = lambda count: None,
+    settings: BasinSettings,
+    report: Report | None = None,
 ) -> list[Attractors]:
     """Follow the starts of every place, a rig at a frequency (rad/s), to their attractors."""
-    search = _Search(poincare, rig, angular_frequency, starts, plan, report)
+    search = _Search(poincare, rig, angular_frequency, starts, settings, report)
     search.run()
     return _watched(search)
 
@@ -321,10 +314,23 @@ def _watched(search: _Search) -> list[Attractors]:
         known = np.reshape([o.state for _, o in orbits], (-1, search.state.shape[1]))
         states = np.concatenate([known, search.state[wild]])
         fits = (n for n in WATCHED if all(n % o.period == 0 for _, o in orbits))
-        sampling = Sampling(next(fits, WATCHED[0]), SAMPLES, search.plan.barrier, False)
         any_lane = place * (len(search.place) // len(search.orbits))
-        rig, frequency = search.rig[any_lane], search.frequency[any_lane]
-        numbers = sample_motions(search.poincare, rig, frequency, states, sampling)
+        lanes = search.rig[any_lane], search.frequency[any_lane]
+        period = np.array([o.period for _, o in orbits] + [0] * len(wild), int)
+        # Periodic motions on to their limits, by whole periods: they were found near them.
+        on = np.where(period > 0, period * -(-ONWARDS // np.maximum(period, 1)), 0)
+        later = search.poincare.march(*lanes, states, on)
+        states = np.where(np.isfinite(later).all(axis=1, keepdims=True), later, states)
+        numbers = sample_motions(
+            search.poincare,
+            *lanes,
+            states,
+            periods=next(fits, WATCHED[0]),
+            samples_per_period=SAMPLES,
+            barrier=search.settings.barrier,
+        )
+        numbers |= search.poincare.measure(*lanes, states, period)
+        numbers["state"] = states
     places = range(len(search.orbits))
     return [_of_place(search, p, place, len(orbits), wild, numbers) for p in places]
 
@@ -332,40 +338,33 @@ def _watched(search: _Search) -> list[Attractors]:
 def _of_place(search, place, places, count, wild, numbers) -> Attractors:
     """Number the attractors of one place."""
     lanes = np.flatnonzero(search.place == place)
-    kinds: dict[tuple, np.ndarray] = {}
-    """Lanes by their attractor: (orbit, shift), or (-1, cross-well)."""
-    rows: dict[tuple, np.ndarray] = {}
-    """Where in the numbers a kind is described."""
+    kinds: list[tuple[int, np.ndarray, np.ndarray]] = []
+    """Period, lanes, and where in the numbers the kind is described."""
     first = int(np.sum(places[:count] < place))
-    for k, _ in enumerate(search.orbits[place]):
+    for k, orbit in enumerate(search.orbits[place]):
         own = lanes[(search.stage[lanes] == ARRIVED) & (search.orbit[lanes] == k)]
-        shifts = search.shift[own] if search.plan.distinguish_phases else 0 * own
+        shifts = search.shift[own] if search.settings.distinguish_phases else 0 * own
         for shift in np.unique(shifts):
-            kinds[(k, int(shift))] = own[shifts == shift]
-            rows[(k, int(shift))] = np.array([first + k])
+            kinds.append((orbit.period, own[shifts == shift], np.array([first + k])))
     mine = np.flatnonzero(search.place[wild] == place)
-    if mine.size:
-        crosses = numbers["cross_well"][count + mine] > 0.5
-        for side in (True, False):
-            if (crosses == side).any():
-                kinds[(-1, int(side))] = wild[mine[crosses == side]]
-                rows[(-1, int(side))] = count + mine[crosses == side]
+    for side in (False, True) if mine.size else ():
+        own = mine[(numbers["cross_well"][count + mine] > 0.5) == side]
+        if own.size:
+            kinds.append((0, wild[own], count + own))
 
-    def read(name, kind):
-        return float(np.mean(numbers[name][rows[kind]]))
+    def mean(name, rows):
+        return float(np.mean(numbers[name][rows]))
 
-    period = {k: search.orbits[place][k[0]].period if k[0] >= 0 else 0 for k in kinds}
-    order = sorted(
-        kinds, key=lambda k: (-len(kinds[k]), period[k], round(read("displacement_mean", k), 12), k)
-    )
+    kinds.sort(key=lambda k: (-len(k[1]), k[0], round(mean("displacement_mean", k[2]), 12)))
     number = np.zeros(len(lanes), int)
-    for i, kind in enumerate(order, start=1):
-        number[kinds[kind] - lanes[0]] = i
-    return Attractors(
-        number=number,
-        period=np.array([period[k] for k in order], int),
-        cross_well=np.array([read("cross_well", k) > 0.5 for k in order], bool),
-        mean_displacement=np.array([read("displacement_mean", k) for k in order], float),
-        strain_power_rms=np.array([read("strain_power_rms", k) for k in order], float),
-        periods_marched=search.marched[lanes],
-    )
+    for i, (_, own, _) in enumerate(kinds, start=1):
+        number[own - lanes[0]] = i
+    described = {
+        name: np.array([mean(source, rows) for _, _, rows in kinds], float)
+        for name, source in DESCRIBED.items()
+    }
+    described["cross_well"] = described["cross_well"] > 0.5
+    described["period"] = np.array([period for period, _, _ in kinds], int)
+    states = [numbers["state"][rows[0]] for _, _, rows in kinds]
+    described["initial_state"] = np.reshape(states, (-1, search.state.shape[1]))
+    return Attractors(number, search.marched[lanes], described)

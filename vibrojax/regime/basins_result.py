@@ -1,17 +1,27 @@
 """The result of a study of basins: where starts lead to, and how large the basins are."""
 
-import os
+import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
+import jax
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 
 from vibrojax._tools.checks import check_index
 from vibrojax._tools.signatures import validated
-from vibrojax.results.axes import coordinates_of, example, numbers_along, pick
-from vibrojax.results.saving import save_dataset
-from vibrojax.results.variables import VARIABLES, described_as
+from vibrojax.branches.branch import Branch
+from vibrojax.branches.continue_response import continue_response
+from vibrojax.branches.settings import ContinuationSettings
+from vibrojax.ensemble.ranges import Range
+from vibrojax.history.history import History
+from vibrojax.history.simulate import simulate
+from vibrojax.model.systems import AbstractSystem
+from vibrojax.regime.attractors import DESCRIBED
+from vibrojax.results.axes import coordinates_of, example, pick
+from vibrojax.results.saving import AbstractSaved
+from vibrojax.results.variables import described_as
 
 if TYPE_CHECKING:
     import xarray
@@ -20,16 +30,9 @@ if TYPE_CHECKING:
 Array = np.ndarray
 LEVEL = 0.95
 """Confidence of intervals."""
-OF_ATTRACTORS = (
-    "share",
-    "standard_error",
-    "share_low",
-    "share_high",
-    "period",
-    "cross_well",
-    "mean_displacement",
-    "strain_power_rms",
-)
+ATTRACTOR = ("attractor_number",)
+SAME = 1e-3
+"""Relative distance of amplitudes below which two motions are one."""
 
 
 def standard_error(share: Any, count: int) -> float | Float[Array, "..."]:
@@ -47,10 +50,9 @@ def wilson_interval(share: Any, count: int) -> tuple[Any, Any]:
 
     That of Wilson 1927, which is not empty where the share is 0 or 1.
     """
-    from scipy.stats import norm
 
     share = np.asarray(share, float)
-    z = norm.ppf(0.5 + LEVEL / 2)
+    z = scipy.stats.norm.ppf(0.5 + LEVEL / 2)
     scale = 1 + z**2 / count
     middle = (share + z**2 / (2 * count)) / scale
     half = z / scale * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
@@ -60,16 +62,22 @@ def wilson_interval(share: Any, count: int) -> tuple[Any, Any]:
 def boundary_share(number: Int[Array, "... rows columns"]) -> float | Float[Array, "..."]:
     """Return the share of the cells of a grid that touch, by a side, one of another basin."""
     edge = np.zeros(number.shape, bool)
-    down = number[..., 1:, :] != number[..., :-1, :]
-    across = number[..., :, 1:] != number[..., :, :-1]
-    edge[..., 1:, :] |= down
-    edge[..., :-1, :] |= down
-    edge[..., :, 1:] |= across
-    edge[..., :, :-1] |= across
+    for own, other in ((np.s_[..., 1:, :], np.s_[..., :-1, :]), (np.s_[..., 1:], np.s_[..., :-1])):
+        differs = number[own] != number[other]
+        edge[own] |= differs
+        edge[other] |= differs
     return edge.mean(axis=(-2, -1))
 
 
-class Basins(eqx.Module):
+def _passes(branch: Branch, period: int, value: float, amplitude: float) -> bool:
+    """Whether a branch has a motion of this amplitude ratio at this frequency."""
+    if branch.period != period or not len(branch.values):
+        return False
+    here = np.ravel(branch.resample([value])["amplitude_ratio"])
+    return bool(np.any(np.abs(here - amplitude) < SAME * amplitude))
+
+
+class Basins(AbstractSaved):
     """Attractors and their basins, over starts that two named numbers make.
 
     Attractors are numbered by the share of the starts that they attract, the largest first, at
@@ -81,7 +89,10 @@ class Basins(eqx.Module):
     axes: dict[str, Array]
     """The other axes of the call, by name, the frequency among them where it was a list."""
     starts: dict[str, Array]
-    """The two numbers: axes of the grid, or the values of every random start."""
+    """The two numbers: axes of the grid, or the values of every random start; empty where the
+    starts are states."""
+    start_states: Float[Array, "starts states"]
+    """States (q, q', memories) at drive phase 0, the second number of a grid running fastest."""
     sampling: str = eqx.field(static=True)
     """`grid` or `random`."""
     attractor: Int[Array, "..."]
@@ -95,8 +106,20 @@ class Basins(eqx.Module):
     """m."""
     strain_power_rms: Float[Array, "... attractors"]
     """Rms of the rate of the strain energy, W."""
+    amplitude_ratio: Float[Array, "... attractors"]
+    """Half peak-to-peak displacement over the drive amplitude."""
+    contact_force: Float[Array, "... attractors"]
+    """Largest contact force, N."""
+    initial_state: Float[Array, "... attractors states"]
+    """State of each attractor at drive phase 0; NaN where there is no such attractor."""
     periods_marched: Int[Array, "..."]
     """Drive periods marched with every start."""
+    systems: AbstractSystem
+    """What moves, stacked over the axes of its numbers."""
+    frequency_axis: str = eqx.field(static=True)
+    """`frequency_ratio`, or `frequency` in Hz."""
+    frequencies: Float[Array, " frequencies"]
+    """Drive frequencies, in the unit of that axis."""
     units: dict[str, str] = eqx.field(static=True)
     """Of the two numbers, by name; empty where they were not given."""
     attributes: dict[str, str] = eqx.field(static=True)
@@ -138,7 +161,9 @@ class Basins(eqx.Module):
         Raises `ValueError` for random starts.
         """
         if self.sampling != "grid":
-            raise ValueError("Random starts have no cells: give starts='grid' to basins.")
+            raise ValueError(
+                "Random starts have no cells: give both numbers of start as lists, a grid."
+            )
         return boundary_share(self.attractor)
 
     @property
@@ -182,87 +207,149 @@ class Basins(eqx.Module):
         """
         import xarray
 
-        outer = tuple(self.axes)
-        inner = tuple(self.starts) if self.sampling == "grid" else ("start",)
-
-        def about(name: str) -> dict[str, str]:
-            units, long_name = VARIABLES[name]
-            return {"units": units, "long_name": long_name}
-
+        outer, grid = tuple(self.axes), self.sampling == "grid"
+        inner = (*outer, *self.starts) if grid else (*outer, "start")
+        places = {
+            **dict.fromkeys(("share", "standard_error", "share_low", "share_high"), ATTRACTOR),
+            **dict.fromkeys(("period", *DESCRIBED), ATTRACTOR),
+            "initial_state": (*ATTRACTOR, "state"),
+            "diverged_share": (),
+        } | ({"boundary_share": ()} if grid else {})
         low, high = np.moveaxis(self.interval, -1, 0)
-        values: dict[str, Any] = {"share_low": low, "share_high": high}
-        data: dict[str, Any] = {
-            name: (
-                (*outer, "attractor_number"),
-                np.asarray(values.get(name, getattr(self, name, None))),
-                about(name),
-            )
-            for name in OF_ATTRACTORS
-        }
-        data["attractor"] = ((*outer, *inner), self.attractor, about("attractor"))
-        marched = about("periods_marched")
-        data["periods_marched"] = ((*outer, *inner), self.periods_marched, marched)
-        data["diverged_share"] = (outer, np.asarray(self.diverged_share), about("diverged_share"))
-        if self.sampling == "grid":
-            edge = np.asarray(self.boundary_share)
-            data["boundary_share"] = (outer, edge, about("boundary_share"))
+        own: dict[str, Any] = {"share_low": low, "share_high": high}
+        own |= {name: getattr(self, name) for name in places if name not in own}
+        data: dict[str, Any] = {name: ((*outer, *dims), own[name]) for name, dims in places.items()}
+        data |= {"attractor": (inner, self.attractor)}
+        data |= {"periods_marched": (inner, self.periods_marched)}
+        if not self.starts:
+            data["start_state"] = (("start", "state"), self.start_states)
         coordinates: dict[str, Any] = coordinates_of(self.axes)
         for name, axis in self.starts.items():
-            dimension = name if self.sampling == "grid" else "start"
-            told_of = {"units": self.units.get(name, "1"), "long_name": name.replace("_", " ")}
-            coordinates[name] = (dimension, axis, told_of)
+            about = {"units": self.units.get(name, "1"), "long_name": name.replace("_", " ")}
+            coordinates[name] = (name if grid else "start", axis, about)
         numbers = np.arange(1, self.period.shape[-1] + 1)
-        described = described_as("attractor_number")
-        coordinates["attractor_number"] = ("attractor_number", numbers, described)
-        return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
+        coordinates[ATTRACTOR[0]] = (*ATTRACTOR, numbers, described_as(ATTRACTOR[0]))
+        ratio_units = self.systems.drive.reference[1]
+        described = {n: (*values, described_as(n, ratio_units)) for n, values in data.items()}
+        return xarray.Dataset(described, coordinates, attrs=dict(self.attributes))
 
-    @validated
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file, whole or not at all.
-
-        `path` is that of the file, such as `curve.nc`; what is there is replaced. Raises
-        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
-        """
-        save_dataset(self.to_xarray(), path)
-
-    def place_of(self, selection: dict[str, Any]) -> tuple[tuple[int, ...], dict[str, Any]]:
-        """Return the index along the other axes nearest to a selection, and the values there.
-
-        Raises `ValueError` for an unknown axis, or one without a value.
-        """
-        index, chosen, left = pick(self.axes, selection)
+    def _place(self, selection: dict[str, Any]) -> tuple[int, ...]:
+        """Return the index along the other axes; raises `ValueError` for one without a value."""
+        index, left = pick(self.axes, selection)
         for name in left:
             if len(self.axes[name]) > 1:
                 about = example(self.axes, name)
                 raise ValueError(f"Give a value of {name} too, such as {about}.")
-        alone = {n: own[0].item() for name in left for n, own in self._along(name).items()}
-        return tuple(0 if isinstance(at, slice) else at for at in index), chosen | alone
+        return tuple(0 if isinstance(at, slice) else at for at in index)
 
-    def _along(self, name: str) -> dict[str, Array]:
-        return numbers_along(name, np.asarray(self.axes[name]))
+    def _system_at(self, index: tuple[int, ...]) -> tuple[AbstractSystem, float]:
+        """Return what moves at a place along the axes, and its drive frequency."""
+        over = [len(axis) for name, axis in self.axes.items() if name != self.frequency_axis]
+        place = dict(zip(self.axes, index, strict=True))
+        value = float(self.frequencies[place.pop(self.frequency_axis, 0)])
+        lane = int(np.ravel_multi_index(tuple(place.values()), over)) if over else 0
+        return jax.tree.map(lambda a: a[lane], self.systems), value
+
+    def _drawn(self, index: tuple[int, ...], count: int) -> tuple["xarray.Dataset", list[str]]:
+        """Return the dataset at a place along the axes, and the names of its attractors."""
+        lane = self.to_xarray().isel(dict(zip(self.axes, index, strict=True)))
+        return lane, [self.name_of(k, index) for k in range(1, count + 1)]
+
+    @validated
+    def history(
+        self, attractor: int = 1, *, samples_per_period: int = 256, **selection: Any
+    ) -> History:
+        """Return an attractor over its period (one drive period where it has none).
+
+        Parameters:
+            attractor: its number, from 1.
+            samples_per_period: samples per drive period.
+            selection: a value (nearest) of each other axis.
+
+        Raises `ValueError` for an attractor that is not there, an unknown axis, or one without a
+        value.
+        """
+        index = self._place(selection)
+        period = self.period[index]
+        check_index("attractor", attractor, int(np.sum(period >= 0)), first=1)
+        system, value = self._system_at(index)
+        at: dict[str, Any] = {self.frequency_axis: value}
+        return simulate(
+            system,
+            **at,
+            periods=max(int(period[attractor - 1]), 1),
+            samples_per_period=samples_per_period,
+            initial_state=self.initial_state[(*index, attractor - 1)],
+        )
+
+    @validated
+    def branches(
+        self, over: Range, *, settings: ContinuationSettings | None = None, **selection: Any
+    ) -> list[Branch]:
+        """Follow every periodic attractor along the drive frequency, both ways.
+
+        Motions on a branch that another one gave already are not followed again, so isolated
+        branches are what comes besides the first.
+
+        Parameters:
+            over: lowest and highest frequency, in the unit of the frequency axis.
+            settings: `vj.ContinuationSettings(...)`; the period is that of the attractor.
+            selection: a value (nearest) of each other axis.
+
+        Raises `ValueError` for an unknown axis, or one without a value.
+        """
+        index = self._place(selection)
+        system, value = self._system_at(index)
+        along: dict[str, Any] = {self.frequency_axis: over}
+        found: list[Branch] = []
+        for k in np.flatnonzero(self.period[index] > 0):
+            period, amplitude = int(self.period[index][k]), self.amplitude_ratio[(*index, k)]
+            if any(_passes(branch, period, value, amplitude) for branch in found):
+                continue
+            own = dataclasses.replace(settings or ContinuationSettings(), period=period)
+            start = (self.initial_state[(*index, k)], value)
+            branch = continue_response(system, **along, start=start, settings=own)
+            assert isinstance(branch, Branch)
+            found.append(branch)
+        return found
+
+    def plot_orbits(self, **selection: Any) -> "Figure":
+        """Draw every attractor in the plane of displacement (mm) and velocity (m/s).
+
+        `selection` picks one value (nearest) of each other axis; dots mark the drive phase 0.
+        Raises `ValueError` for an unknown axis, one without a value, or without an attractor.
+        """
+        index = self._place(selection)
+        count = int(np.sum(self.period[index] >= 0))
+        if not count:
+            raise ValueError("No start reached an attractor: there is nothing to draw.")
+        histories = [self.history(k + 1, **selection) for k in range(count)]
+        orbits = [(np.asarray(h.displacement()), np.asarray(h.velocity())) for h in histories]
+        lane, names = self._drawn(index, count)
+        from vibrojax.plot.regime import plot_orbits
+
+        return plot_orbits(lane, orbits, names, 256)
 
     def plot(self, **selection: Any) -> "Figure":
         """Draw the attractor of every start over the two numbers.
 
         `selection` picks one value (nearest) of each other axis. The legend says period and share
         of every attractor, with its standard error. Raises `ValueError` for an unknown axis, or
-        one without a value.
+        one without a value, or starts that no two numbers make (see `plot_orbits`).
         """
-        index, _ = self.place_of(selection)
-        names = [self.name_of(k, index) for k in range(1, self.period.shape[-1] + 1)]
-        lane = self.to_xarray().isel(dict(zip(self.axes, index, strict=True)))
-        from vibrojax.plot.basins import plot_basins
+        if not self.starts:
+            raise ValueError("The starts are states, not two numbers: use plot_orbits().")
+        lane, names = self._drawn(self._place(selection), self.period.shape[-1])
+        from vibrojax.plot.regime import plot_basins
 
         return plot_basins(lane, list(self.starts), names)
 
     def __repr__(self) -> str:
         shape = [f"{name}: {len(axis)}" for name, axis in self.axes.items()]
-        count = self.count
-        shape += (
-            [f"{name}: {len(axis)}" for name, axis in self.starts.items()]
-            if self.sampling == "grid"
-            else [f"{count} random starts"]
-        )
+        if self.sampling == "grid":
+            shape += [f"{name}: {len(axis)}" for name, axis in self.starts.items()]
+        else:
+            shape += [f"{self.count} random starts"]
         lines = [f"Basins({', '.join(shape)})"]
         if all(len(axis) == 1 for axis in self.axes.values()):
             index = (0,) * len(self.axes)

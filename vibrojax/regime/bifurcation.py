@@ -6,25 +6,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
-from vibrojax._tools.checks import check_choice, nearest
+from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.arguments import Zipped
-from vibrojax.ensemble.frequencies import DIRECTIONS, frequency_axis
-from vibrojax.ensemble.lanes import Lanes, lanes_of
+from vibrojax.ensemble.frequencies import DIRECTIONS
+from vibrojax.ensemble.lanes import Lanes
+from vibrojax.ensemble.progress import progress_bar
 from vibrojax.model.states import as_state
 from vibrojax.model.systems import AbstractSystem, as_arrays
-from vibrojax.regime.bifurcation_result import BifurcationDiagram
-from vibrojax.regime.poincare_map import PoincareMap
-from vibrojax.regime.regime_points import carried_points, regime_plan
-from vibrojax.regime.regimes import (
-    attributes_of,
-    frequency_unit,
-    progress_bar,
-    regime_method,
-    start_states,
-)
-from vibrojax.stepping.method import AbstractMethod
-from vibrojax.sweep.swept_lanes import rigs_of
+from vibrojax.regime.regime_points import carried_points, made_ready
+from vibrojax.regime.settings import RegimeSettings
+from vibrojax.regime.table import BifurcationDiagram
+
+
+def diagram_settings() -> RegimeSettings:
+    """Return the settings of diagrams and maps by default: less than `regimes` looks at."""
+    return RegimeSettings(periods=100, max_period=16, samples_per_period=32, spectrum=False)
 
 
 @validated
@@ -34,19 +31,8 @@ def bifurcation_diagram(
     frequency_ratio: ArrayLike | Sequence[float] | None = None,
     frequency: ArrayLike | Sequence[float] | None = None,
     along: str | None = None,
-    direction: str = "both",
     start: ArrayLike | Sequence[Any] | None = None,
-    transient: int = 200,
-    periods: int = 100,
-    max_period: int = 16,
-    tolerance: float = 0.02,
-    lyapunov: bool = True,
-    samples_per_period: int = 32,
-    barrier: float = 0.0,
-    spectrum: bool = False,
-    step_tolerance: float = 1e-4,
-    steps_per_period: int | None = None,
-    method: AbstractMethod | None = None,
+    settings: RegimeSettings | None = None,
     progress: bool | None = None,
     **axes: Any,
 ) -> BifurcationDiagram:
@@ -64,66 +50,49 @@ def bifurcation_diagram(
             frequency of the unstopped system, or Hz): a number, or increasing values.
         along: name of the parameter that the motion is carried along: `frequency`, or a keyword
             with a list. By default the frequency where it is a list, else the only list.
-        direction: `both`, `forward` (upwards) or `backward`.
         start: state at drive phase 0 of the first value, as of `simulate`: what
             `system.state(displacement=...)` makes, or a state in the coordinates of the system; at
             rest by default.
-        transient: drive periods marched at every value before anything is looked at.
-        periods: drive periods observed at every value.
-        max_period, tolerance, lyapunov, samples_per_period, barrier: as in `regimes`.
-        spectrum, step_tolerance, steps_per_period, method, progress: as in `regimes`.
+        settings: `vj.RegimeSettings(direction=..., transient=..., ...)`, at every value; by default
+            with periods=100, max_period=16, samples_per_period=32 and no spectrum.
+        progress: show a progress bar; by default on long runs in a terminal.
+        axes: arguments of `system`.
 
     Raises `ValueError` where it is not clear what to go along, for values that do not increase, an
-    unknown keyword, a system without a drive, or settings that cannot work.
+    unknown keyword, or a system without a drive.
     """
-    axis, grid = frequency_axis(frequency_ratio, frequency)
-    check_choice("direction", direction, tuple(DIRECTIONS))
-    plan = regime_plan(
-        transient=transient,
-        periods=periods,
-        max_period=max_period,
-        tolerance=tolerance,
-        lyapunov=lyapunov,
-        samples_per_period=samples_per_period,
-        barrier=barrier,
-        spectrum=spectrum,
+    settings = settings or diagram_settings()
+    ready = made_ready(
+        "bifurcation diagram", system, axes, zipped, frequency_ratio, frequency, settings
     )
-    lanes = lanes_of(system, axes, zipped)
-    paths = _lanes_along(lanes, axis, grid, along)
-    chosen = regime_method(lanes.sample, axis, method, step_tolerance, steps_per_period)
-    state = _first_state(lanes.sample, start)
-    poincare = PoincareMap.of(chosen, rigs_of(lanes.systems))
-    ways = DIRECTIONS[direction]
-    count = len(paths.rig)
+    sample = ready.lanes.sample
+    paths = _lanes_along(ready.lanes, ready.axis, ready.grid, along)
+    equations = as_arrays(sample).equations()
+    state = np.zeros(equations.state_size)
+    if start is not None:
+        state = np.asarray(as_state("start", start, equations))
+    poincare = ready.poincare()
+    ways = DIRECTIONS[settings.direction]
     rig = np.repeat(paths.rig, len(ways), axis=0)
-    angular = np.repeat(paths.frequency, len(ways), axis=0) * frequency_unit(poincare, axis)[rig]
-    backward = np.tile([way == "backward" for way in ways], count)
+    angular = poincare.angular_frequency(
+        ready.axis, rig, np.repeat(paths.frequency, len(ways), axis=0)
+    )
+    backward = np.tile([way == "backward" for way in ways], len(paths.rig))
     with progress_bar("bifurcation diagram", rig.size, progress) as bar:
-        begin = np.repeat(state, len(rig), axis=0)
-        found = carried_points(poincare, rig, angular, backward, begin, plan, bar.update)
+        begin = np.repeat(state[None], len(rig), axis=0)
+        found = carried_points(poincare, rig, angular, backward, begin, settings, bar.update)
     del found["state"]
     shape = (*(len(v) for v in paths.axes.values()), len(ways))
-    _, ratio_units = lanes.sample.drive.reference
     return BifurcationDiagram(
         parameter=paths.name,
         values=paths.values,
         directions=ways,
         axes=paths.axes,
         variables={n: v.reshape(*shape, *v.shape[1:]) for n, v in found.items()},
-        orders=plan.sampling.orders if spectrum else None,
-        ratio_units=ratio_units,
-        attributes=attributes_of("vibrojax bifurcation diagram", lanes, chosen, plan),
+        orders=settings.orders,
+        ratio_units=sample.drive.reference[1],
+        attributes=ready.attributes,
     )
-
-
-def _first_state(sample: AbstractSystem, start: Any) -> Float[np.ndarray, "1 states"]:
-    """Return the state to start from, at rest where none is given.
-
-    Raises `ValueError` for what is no state.
-    """
-    if start is None:
-        return start_states(sample, None, None, 0)
-    return np.asarray(as_state("start", start, as_arrays(sample).equations()))[None]
 
 
 class _LanesAlong(NamedTuple):

@@ -19,38 +19,23 @@ class Regime(enum.Enum):
     """The kind of motion of a lane."""
 
     periodic = 0
+    """The motion returns after a whole number of drive periods."""
     quasi_periodic = 1
+    """No period up to the largest one looked for, and neighbouring motions neither part nor meet:
+    the largest Lyapunov exponent is zero within its error."""
     chaotic = 2
+    """No period up to the largest one looked for, and neighbouring motions part: the largest
+    Lyapunov exponent is above zero by more than three standard errors."""
     undecided = 3
+    """Period and exponent do not fit together yet: a transient that is not over, a period longer
+    than looked for, or a record too short. Give more transient, periods or max_period."""
     diverged = 4
+    """The state stopped being finite, or contacts came too fast to be resolved."""
 
     @property
     def word(self) -> str:
         """The kind as it stands in a legend."""
         return self.name.replace("_", "-")
-
-    @property
-    def sentence(self) -> str:
-        """The kind in words."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    Regime.periodic: "The motion returns after a whole number of drive periods.",
-    Regime.quasi_periodic: (
-        "No period up to the largest one looked for, and neighbouring motions neither part nor "
-        "meet: the largest Lyapunov exponent is zero within its error."
-    ),
-    Regime.chaotic: (
-        "No period up to the largest one looked for, and neighbouring motions part: the largest "
-        "Lyapunov exponent is above zero by more than three standard errors."
-    ),
-    Regime.undecided: (
-        "Period and exponent do not fit together yet: a transient that is not over, a period "
-        "longer than looked for, or a record too short. Give more transient, periods or max_period."
-    ),
-    Regime.diverged: "The state stopped being finite, or contacts came too fast to be resolved.",
-}
 
 
 def regime_of(

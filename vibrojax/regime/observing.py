@@ -1,76 +1,58 @@
 """What a motion does within a drive period: observables, sides of a barrier, spectrum."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float, Int
 
+from vibrojax._tools.compiled import compiled
 from vibrojax.model.drives import Harmonic
 from vibrojax.model.systems import Motion
-from vibrojax.regime.poincare_map import Numbers, PoincareMap, in_chunks
-from vibrojax.stepping.method import AbstractMethod, ExactContact, with_traced_numbers
+from vibrojax.regime.poincare_map import Numbers, Places, PoincareMap, States, in_chunks
+from vibrojax.regime.settings import HIGHEST_ORDER
+from vibrojax.steady.batches import take
+from vibrojax.stepping.stepper import AbstractStepper, ExactContact, with_traced_numbers
 from vibrojax.sweep.swept_lanes import Rigs
 
 lax = jax.lax
 
 HYSTERESIS = 0.05
 """How far beyond the barrier a side counts as reached, in the largest distance from it."""
-HIGHEST_ORDER = 8
-"""Highest frequency of a spectrum, in drive frequencies."""
 
 
-class Sampling(NamedTuple):
-    """How motions are looked at between their states on the section."""
-
-    periods: int
-    samples_per_period: int
-    barrier: float
-    """Displacement between the two sides, m."""
-    spectrum: bool
-
-    @property
-    def orders(self) -> Float[np.ndarray, " orders"]:
-        """Frequencies of the spectrum over the drive frequency."""
-        highest = min(HIGHEST_ORDER, self.samples_per_period // 2)
-        return np.arange(highest * self.periods + 1) / self.periods
-
-
-def steps_per_sample(
-    method: AbstractMethod,
-    rigs: Rigs,
-    rig: Int[np.ndarray, " lanes"],
-    angular_frequency: Numbers,
-    samples_per_period: int,
+def _steps_per_sample(
+    poincare: PoincareMap, rig: Places, angular_frequency: Numbers, samples_per_period: int
 ) -> Int[np.ndarray, " lanes"]:
-    """Return how many steps of its method every lane takes from sample to sample."""
-    if isinstance(method, ExactContact):
+    """Return how many steps of its stepper every lane takes from sample to sample."""
+    stepper = poincare.stepper
+    if isinstance(stepper, ExactContact):
         return np.ones(len(rig), np.int32)  # it takes as many as it needs within one
     pairs, own = np.unique(np.stack([rig, angular_frequency]), axis=1, return_inverse=True)
 
     def steps(k: int, frequency: float) -> int:
-        one = jax.tree.map(lambda a: jnp.asarray(a[k]) if eqx.is_array(a) else a, rigs)
+        one = jax.tree.map(lambda a: jnp.asarray(a[k]) if eqx.is_array(a) else a, poincare.rigs)
         run = Motion(one.equations, one.drive, Harmonic(frequency / (2 * np.pi)))
-        return math.ceil(method.steps(run) / samples_per_period)
+        return math.ceil(stepper.steps(run) / samples_per_period)
 
     found = [steps(int(k), float(w)) for k, w in pairs.T]
     return np.array(found, np.int32)[own.ravel()]
 
 
-@eqx.filter_jit
+@compiled
 def _sampled(
-    method: AbstractMethod, rigs: Rigs, frequency, state, parts, periods: int, per_period: int
+    stepper: AbstractStepper, rigs: Rigs, frequency, state, parts, periods: int, per_period: int
 ):
-
     def one(rig: Rigs, frequency: Array, state: Array, count: Array):
         equations = rig.equations
         run = Motion(equations, rig.drive, Harmonic(frequency / (2 * jnp.pi)))
         interval = 2 * jnp.pi / frequency / per_period
         step = interval / count
-        kept = method.init(None, 0.0, step, state, run)  # which may be for this step only
+        kept = stepper.init(None, 0.0, step, state, run)  # which may be for this step only
 
         def look(state: Array):
             q, rate, _ = equations.split(state)
@@ -81,19 +63,16 @@ def _sampled(
             seen, rates = look(state)
             values = seen | {"strain_power": rates["strain_energy"]}
             sums = {
-                name: (
-                    jnp.maximum(sums[name][0], jnp.abs(value)),
-                    sums[name][1] + value,
-                    sums[name][2] + value**2,
-                )
-                for name, value in values.items()
+                name: (jnp.maximum(largest, jnp.abs(v)), total + v, squares + v**2)
+                for name, v in values.items()
+                for largest, total, squares in [sums[name]]
             }
             begin = (k % per_period) * interval
 
             def on(i: Array, state: Array) -> Array:
-                return method.advance(run, begin + i * step, step, state, kept)
+                return stepper.advance(run, begin + i * step, step, state, kept)
 
-            single = isinstance(method, ExactContact)
+            single = isinstance(stepper, ExactContact)
             after = on(jnp.zeros(()), state) if single else lax.fori_loop(0, count, on, state)
             return (after, sums), (seen["displacement"], rates["displacement"])
 
@@ -103,9 +82,8 @@ def _sampled(
         (_, sums), (displacement, velocity) = lax.scan(sample, (state, none), jnp.arange(samples))
         numbers = {}
         for name, (largest, total, squares) in sums.items():
-            numbers[f"{name}_max"] = largest
-            numbers[f"{name}_mean"] = total / samples
-            numbers[f"{name}_rms"] = jnp.sqrt(squares / samples)
+            rms = jnp.sqrt(squares / samples)
+            numbers |= {f"{name}_max": largest, f"{name}_mean": total / samples, f"{name}_rms": rms}
         return displacement, velocity[::per_period], numbers
 
     return eqx.filter_vmap(one)(rigs, frequency, state, parts)
@@ -128,29 +106,32 @@ def sides(
 
 
 def amplitude_spectrum(
-    displacement: Float[np.ndarray, "lanes samples"], sampling: Sampling
+    displacement: Float[np.ndarray, "lanes samples"], periods: int
 ) -> Float[np.ndarray, "lanes orders"]:
-    """Return amplitudes (m) at `sampling.orders`, under a Hann window; the mean at order 0.
+    """Return amplitudes (m) at `RegimeSettings.orders`, under a Hann window; the mean at order 0.
 
     A line of a motion of period n has its amplitude where n divides the periods observed, and
     spreads over its two neighbours.
     """
-    from scipy.signal import get_window
 
     mean = displacement.mean(axis=1, keepdims=True)
-    window = np.asarray(get_window("hann", displacement.shape[1]))
+    window = np.asarray(scipy.signal.get_window("hann", displacement.shape[1]))
     weighted = (displacement - mean) * window
     lines = np.abs(np.fft.rfft(weighted, axis=1)) * 2 / window.sum()
     lines[:, 0] = np.abs(mean[:, 0])
-    return lines[:, : len(sampling.orders)]
+    return lines[:, : min(HIGHEST_ORDER, displacement.shape[1] // periods // 2) * periods + 1]
 
 
 def sample_motions(
     poincare: PoincareMap,
-    rig: Int[np.ndarray, " lanes"],
+    rig: Places,
     angular_frequency: Numbers,
-    state: Float[np.ndarray, "lanes states"],
-    sampling: Sampling,
+    state: States,
+    *,
+    periods: int,
+    samples_per_period: int,
+    barrier: float,
+    spectrum: bool = False,
 ) -> dict[str, np.ndarray]:
     """March all lanes through a window, sampled, and return its numbers, by name, lanes leading.
 
@@ -158,26 +139,24 @@ def sample_motions(
     the strain energy (`strain_power`, W), strobed `displacement` and `velocity` of the response,
     `cross_well`, `crossings_per_period` and, where asked for, `spectrum`.
     """
-    method, rigs, periods = poincare.method, poincare.rigs, sampling.periods
-    numbers = with_traced_numbers(method)
-    per_period = sampling.samples_per_period
-    parts = steps_per_sample(method, rigs, rig, angular_frequency, per_period)
+    numbers = with_traced_numbers(poincare.stepper)
+    parts = _steps_per_sample(poincare, rig, angular_frequency, samples_per_period)
     lost = np.asarray(~np.isfinite(state).all(axis=1))
     begin = np.where(lost[:, None], 0.0, state)
 
-    def run(k: np.ndarray) -> dict[str, Any]:
-        own, w = poincare.rigs_at(rig[k]), angular_frequency[k]
-        seen = _sampled(numbers, own, w, begin[k], parts[k], periods, per_period)
+    def run(k: Places) -> dict[str, Any]:
+        own, w = take(poincare.rigs, rig[k]), angular_frequency[k]
+        seen = _sampled(numbers, own, w, begin[k], parts[k], periods, samples_per_period)
         displacement, velocity, found = jax.device_get(seen)
-        crosses, crossings = sides(np.nan_to_num(displacement), sampling.barrier)
+        crosses, crossings = sides(np.nan_to_num(displacement), barrier)
         found |= {
-            "displacement": displacement[:, ::per_period],
+            "displacement": displacement[:, ::samples_per_period],
             "velocity": velocity,
             "cross_well": crosses.astype(float),
             "crossings_per_period": crossings / periods,
         }
-        if sampling.spectrum:
-            found["spectrum"] = amplitude_spectrum(displacement, sampling)
+        if spectrum:
+            found["spectrum"] = amplitude_spectrum(displacement, periods)
         return found
 
     found = in_chunks(run, len(rig))

@@ -1,17 +1,23 @@
-"""The regimes of lanes at their drive frequencies, and of lanes that are carried along an axis."""
+"""Studies of regimes made ready, and the regimes of lanes, alone or carried along an axis."""
 
+from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax._tools.checks import check_count, check_range
+from vibrojax._tools.described import recipe
+from vibrojax.ensemble.frequencies import frequency_axis
+from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.regime.kinds import regime_of
-from vibrojax.regime.observing import Sampling, sample_motions
-from vibrojax.regime.poincare_map import Numbers, PoincareMap, Report, SectionPlan
+from vibrojax.regime.observing import sample_motions
+from vibrojax.regime.poincare_map import Numbers, PoincareMap, Report
+from vibrojax.regime.settings import BasinSettings, RegimeSettings
 from vibrojax.results.status import Status
 from vibrojax.stepping.resonance import is_unbounded
+from vibrojax.stepping.stepper import AbstractStepper
+from vibrojax.sweep.swept_lanes import rigs_of
 
 SWEPT = (
     "amplitude_ratio",
@@ -25,46 +31,44 @@ SWEPT = (
 """What is measured as in a frequency sweep."""
 
 
-class RegimePlan(NamedTuple):
-    """What is done with every lane."""
+class Ready(NamedTuple):
+    """A study made ready: its lanes and frequencies, and how they are marched."""
 
-    section: SectionPlan
-    sampling: Sampling
+    axis: str
+    """`frequency_ratio`, or `frequency` in Hz."""
+    grid: Float[np.ndarray, " frequencies"]
+    lanes: Lanes
+    stepper: AbstractStepper
+    attributes: dict[str, str]
+    """What is run, in words."""
+
+    def poincare(self) -> PoincareMap:
+        """Compute the equations of all rigs and make them ready to march."""
+        return PoincareMap(self.stepper, rigs_of(self.lanes.systems))
 
 
-def regime_plan(
-    *,
-    transient: int,
-    periods: int,
-    max_period: int,
-    tolerance: float,
-    lyapunov: bool,
-    samples_per_period: int,
-    barrier: float,
-    spectrum: bool,
-) -> RegimePlan:
-    """Check the settings of a study of regimes. Raises `ValueError` for those that cannot work."""
-    check_count("max_period", max_period)
-    check_count("transient", transient, least=0)
-    check_count("periods", periods, least=max(4, 2 * max_period))
-    check_count("samples_per_period", samples_per_period, least=8)
-    check_range(
-        "tolerance",
-        tolerance,
-        0.0,
-        0.5,
-        include_low=False,
-        allowed="above 0 and at most 0.5",
-        advice="It is the relative return that makes a period.",
-    )
-    check_range("barrier", barrier, allowed="a displacement in m")
-    for name, value in (("lyapunov", lyapunov), ("spectrum", spectrum)):
-        if not isinstance(value, bool):
-            raise ValueError(f"{name} must be True or False, got {value!r}.")
-    return RegimePlan(
-        SectionPlan(transient, periods, max_period, tolerance, lyapunov),
-        Sampling(periods, samples_per_period, float(barrier), spectrum),
-    )
+def made_ready(
+    title: str,
+    system: Any,
+    numbers: dict[str, Any],
+    zipped: tuple[Any, ...],
+    frequency_ratio: Any,
+    frequency: Any,
+    settings: RegimeSettings | BasinSettings,
+) -> Ready:
+    """Sort what a study was called with; raises `ValueError` for what cannot be studied."""
+    axis, grid = frequency_axis(frequency_ratio, frequency)
+    lanes = lanes_of(system, numbers, zipped)
+    stepper = settings.stepper_of(lanes.sample, axis)
+    attributes = {
+        "title": f"vibrojax {title}",
+        "rig": lanes.description,
+        "stepper": recipe(stepper),
+        "settings": recipe(settings),
+        "vibrojax_version": version("vibrojax"),
+        "jax_version": version("jax"),
+    }
+    return Ready(axis, grid, lanes, stepper, attributes)
 
 
 def regime_points(
@@ -72,43 +76,58 @@ def regime_points(
     rig: Int[np.ndarray, " lanes"],
     angular_frequency: Numbers,
     state: Float[np.ndarray, "lanes states"],
-    plan: RegimePlan,
-    report: Report = lambda done: None,
+    settings: RegimeSettings,
+    report: Report | None = None,
 ) -> tuple[dict[str, np.ndarray], Float[np.ndarray, "lanes states"]]:
     """Bring all lanes to what lasts and return its numbers, lanes leading, and the last states.
 
     The state of a lane that was lost is rest.
     """
-    seen = poincare.observe(rig, angular_frequency, state, plan.section, report)
-    grows = is_unbounded(np.asarray(poincare.prepared.resonances)[:, rig], angular_frequency, np)
-    end = np.where(grows[:, None], np.nan, seen.end)
-    seen = seen._replace(alive=seen.alive & ~grows, period=np.where(grows, 0, seen.period), end=end)
-    window = plan.section.periods * 2 * np.pi / angular_frequency
-    kind = regime_of(
-        seen.period,
-        seen.lyapunov_exponent * window,
-        seen.lyapunov_standard_error * window,
-        seen.return_error,
-        plan.section.tolerance,
-        seen.alive,
+    seen = poincare.observe(
+        rig,
+        angular_frequency,
+        state,
+        periods=settings.periods,
+        max_period=settings.max_period,
+        tolerance=settings.period_tolerance,
+        transient=settings.transient,
+        lyapunov=settings.lyapunov,
+        report=report,
     )
-    measured = poincare.measure(rig, angular_frequency, seen.end, seen.period)
-    start = np.where(seen.alive[:, None], seen.start, np.nan)
-    sampled = sample_motions(poincare, rig, angular_frequency, start, plan.sampling)
-    status = np.where(seen.period > 0, Status.settled.value, Status.aperiodic.value)
-    status = np.where(seen.alive, status, Status.diverged.value)
-    status = np.where(grows, Status.unbounded.value, status)
+    grows = is_unbounded(np.asarray(poincare.prepared.resonances)[:, rig], angular_frequency, np)
+    alive = seen["alive"] & ~grows
+    period = np.where(grows, 0, seen["period"])
+    end = np.where(grows[:, None], np.nan, seen["end"])
+    window = settings.periods * 2 * np.pi / angular_frequency
+    exponent, error = seen["lyapunov_exponent"], seen["lyapunov_standard_error"]
+    away, limit = seen["return_error"], settings.period_tolerance
+    measured = poincare.measure(rig, angular_frequency, end, period)
+    sampled = sample_motions(
+        poincare,
+        rig,
+        angular_frequency,
+        np.where(alive[:, None], seen["start"], np.nan),
+        periods=settings.periods,
+        samples_per_period=settings.samples_per_period,
+        barrier=settings.barrier,
+        spectrum=settings.spectrum,
+    )
+    status = np.select(
+        [grows, ~alive, period > 0],
+        [Status.unbounded.value, Status.diverged.value, Status.settled.value],
+        Status.aperiodic.value,
+    )
     found = {
-        "period": seen.period,
-        "regime": kind,
+        "period": period,
+        "regime": regime_of(period, exponent * window, error * window, away, limit, alive),
         "status": status.astype(np.int32),
-        "return_error": seen.return_error,
-        "lyapunov_exponent": seen.lyapunov_exponent,
-        "lyapunov_standard_error": seen.lyapunov_standard_error,
+        "return_error": away,
+        "lyapunov_exponent": exponent,
+        "lyapunov_standard_error": error,
         **{name: measured[name] for name in SWEPT},
         **sampled,
     }
-    return found, np.where(seen.alive[:, None], seen.end, 0.0)
+    return found, np.where(alive[:, None], end, 0.0)
 
 
 def carried_points(
@@ -117,8 +136,8 @@ def carried_points(
     angular_frequency: Float[np.ndarray, "lanes values"],
     backward: np.ndarray,
     state: Float[np.ndarray, "lanes states"],
-    plan: RegimePlan,
-    report: Report = lambda done: None,
+    settings: RegimeSettings,
+    report: Report | None = None,
 ) -> dict[str, np.ndarray]:
     """Carry every lane along its values, upwards or `backward`, each from where the last ended.
 
@@ -127,20 +146,12 @@ def carried_points(
     """
     lanes, count = rig.shape
     every = np.arange(lanes)
+    # In the order of visits, upwards or downwards; downwards the same turned over.
+    place = np.where(np.asarray(backward)[:, None], np.arange(count)[::-1], np.arange(count))
     parts: list[Any] = []
-    columns = []
-    for visit in range(count):
-        at = np.where(backward, count - 1 - visit, visit)
+    for at in place.T:
         found, state = regime_points(
-            poincare, rig[every, at], angular_frequency[every, at], state, plan, report
+            poincare, rig[every, at], angular_frequency[every, at], state, settings, report
         )
         parts.append(found | {"state": state})
-        columns.append(at)
-    place = np.stack(columns, axis=1)  # lanes, visits
-    order = np.argsort(place, axis=1)
-
-    def ascending(*values: np.ndarray) -> np.ndarray:
-        stacked = np.stack(values, axis=1)
-        return stacked[every[:, None], order]
-
-    return jax.tree.map(ascending, *parts)
+    return jax.tree.map(lambda *v: np.stack(v, axis=1)[every[:, None], place], *parts)

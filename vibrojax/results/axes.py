@@ -42,12 +42,18 @@ def coordinates_of(axes: Mapping[str, Array]) -> dict[str, Any]:
     }
 
 
+def coordinates_along(dataset: "xarray.Dataset", dimension: str) -> list[str]:
+    """Return the names of the coordinates that lie along one dimension alone, its own first."""
+    names = [str(n) for n, c in dataset.coords.items() if c.dims == (dimension,)]
+    return sorted(names, key=lambda name: name != dimension)
+
+
 def axes_of(dataset: "xarray.Dataset", dims: Iterable[Any]) -> dict[str, Array]:
     """Return the axes of a dataset along some dimensions, as a result keeps them."""
     found = {}
     for name in map(str, dims):
-        own = {str(n): c.values for n, c in dataset.coords.items() if c.dims == (name,)}
-        found[name] = own[name] if name in own else together(own)
+        own = {n: dataset[n].values for n in coordinates_along(dataset, name)}
+        found[name] = own[name] if list(own) == [name] else together(own)
     return found
 
 
@@ -60,8 +66,8 @@ def example(axes: Mapping[str, Array], name: str) -> str:
 
 def pick(
     axes: Mapping[str, Array], selection: Mapping[str, Any], *, others: tuple[str, ...] = ()
-) -> tuple[tuple[Any, ...], dict[str, Any], list[str]]:
-    """Return the index of a selection (nearest values), what was chosen, and the axes left.
+) -> tuple[tuple[Any, ...], list[str]]:
+    """Return the index of a selection (nearest values), and the axes left.
 
     Numbers that go together are picked by one of them, or by the name of their axis, which stands
     for the first. `others` are names that may be selected too, elsewhere. Raises `ValueError` for
@@ -81,16 +87,14 @@ def pick(
             )
         wanted[name] = number
     index: list[Any] = []
-    chosen: dict[str, Any] = {}
     for name, along in within.items():
         if name not in wanted:
             index.append(slice(None))
             continue
         number = wanted[name]
-        at = nearest_place(number, along.get(number, next(iter(along.values()))), selection[number])
-        index.append(at)
-        chosen |= {n: values[at].item() for n, values in along.items()}
-    return tuple(index), chosen, [name for name in within if name not in wanted]
+        values = along.get(number, next(iter(along.values())))
+        index.append(nearest_place(number, values, selection[number]))
+    return tuple(index), [name for name in within if name not in wanted]
 
 
 def view_of(
@@ -105,7 +109,7 @@ def view_of(
 
     Raises `ValueError` as `pick` does, or where more are left; its advice is the `call`.
     """
-    index, _, left = pick(axes, selection, others=others)
+    index, left = pick(axes, selection, others=others)
     if len(left) > 1:
         raise ValueError(
             f"{len(left)} axes are left, {' and '.join(left)}: give a value of all but one, such "
@@ -121,7 +125,7 @@ def lane_of(
 
     Raises `ValueError` as `pick` does, or for an axis without a value.
     """
-    index, _, left = pick(axes, selection)
+    index, left = pick(axes, selection)
     if left := [name for name in left if len(axes[name]) > 1]:
         told = example(axes, left[0])
         raise ValueError(f"Give a value of {' and '.join(left)} too, such as {told}.")

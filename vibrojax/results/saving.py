@@ -3,12 +3,16 @@
 import io
 import os
 import uuid
+from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import equinox as eqx
+
 from vibrojax._tools.files import path_of
+from vibrojax._tools.signatures import validated
 
 if TYPE_CHECKING:
     import xarray
@@ -77,3 +81,20 @@ def save_dataset(dataset: "xarray.Dataset", path: str | os.PathLike[str]) -> Non
     with whole_files(path) as (part,):
         assert part is not None
         part.write_bytes(content.getbuffer())
+
+
+class AbstractSaved(eqx.Module):
+    """A result that can be written to a file."""
+
+    @abstractmethod
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return a dataset with named dimensions, units and long names."""
+
+    @validated
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the dataset to a NetCDF file, whole or not at all.
+
+        `path` is that of the file, such as `curve.nc`; what is there is replaced. Raises
+        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
+        """
+        save_dataset(self.to_xarray(), path)

@@ -78,7 +78,6 @@ VARIABLES = {
     "point": Variable("1", "Point, from 1"),
     "initial_state": Variable("m, m/s", "Modal displacements, then velocities, at phase 0"),
     "start_state": Variable("m, m/s", "State from which the search marched"),
-    "leads_to": Variable("1", "Motion a start leads to, from 1 (0: no period, -1: diverged)"),
     "rate": Variable("1/s", "Rate at which neighbours part, by drive period"),
     "relative_change": Variable("1", "Largest relative change when computed more finely"),
     "periods_marched": Variable("1", "Drive periods marched to settle"),
@@ -118,9 +117,13 @@ def described_as(name: str, ratio_units: str = "1", axis_units: str = "axis") ->
     return {"units": units, "long_name": long_name}
 
 
+PLAIN = ("1", "ratio", "axis", "")
+"""Units of plain numbers, which are not shown."""
+
+
 def with_unit(long_name: str, units: str) -> str:
     """Return a name with its unit, `Contact force (N)`; that of a plain number alone."""
-    return long_name if units in ("1", "ratio", "axis") else f"{long_name} ({units})"
+    return long_name if units in PLAIN else f"{long_name} ({units})"
 
 
 def label_of(name: str, ratio_units: str = "1") -> str:
@@ -134,11 +137,11 @@ def axis_unit(axis: str) -> str:
     return VARIABLES[axis].units if axis in VARIABLES else PARAMETER_UNITS.get(axis, "1")
 
 
-def named_value(name: str, value: Any) -> str:
+def named_value(name: str, value: Any, units: str | None = None) -> str:
     """Return a number with its name and unit, as titles and legends show it."""
-    unit = axis_unit(name)
+    unit = axis_unit(name) if units is None else units
     shown = f"{value:g}" if isinstance(value, int | float) else str(value)
-    return f"{name} = {shown}" + (f" {unit}" if unit != "1" else "")
+    return f"{name} = {shown}" + (f" {unit}" if unit not in PLAIN else "")
 
 
 def axis_description(axis: str) -> dict[str, str]:

@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
+from vibrojax._tools.compiled import compiled
 from vibrojax.steady.batches import in_batches
 from vibrojax.steady.condensed import (
     balance,
@@ -19,6 +19,9 @@ from vibrojax.steady.condensed import (
 )
 from vibrojax.steady.paths import AbstractPath, Place, localise
 
+Scalar = Float[Array, ""]
+Spectra = Complex[Array, "stops harmonics"]
+
 FINER = 4
 """How many times finer a motion is looked at than it was solved."""
 CONVERGED = 1e-10
@@ -29,16 +32,16 @@ MOST_STEPS = 40
 class BalancedMotion(NamedTuple):
     """What is read off a motion."""
 
-    highest: Float[Array, ""]
-    lowest: Float[Array, ""]
-    mean_square: Float[Array, ""]
-    first_harmonic: Float[Array, ""]
-    contact_force: Float[Array, ""]
-    contact_fraction: Float[Array, ""]
-    contacts: Float[Array, ""]
+    highest: Scalar
+    lowest: Scalar
+    mean_square: Scalar
+    first_harmonic: Scalar
+    contact_force: Scalar
+    contact_fraction: Scalar
+    contacts: Scalar
     initial_state: Float[Array, " states"]
     multipliers: Complex[Array, " states"]
-    residual: Float[Array, ""]
+    residual: Scalar
     """Of the balance on a finer grid, over the size of the motion."""
 
 
@@ -56,9 +59,7 @@ def refined(
     return padded * cell_average(factor * samples, fine)
 
 
-def read_balanced(
-    place: Place, depth: Complex[Array, "stops harmonics"], period: int
-) -> BalancedMotion:
+def read_balanced(place: Place, depth: Spectra, period: int) -> BalancedMotion:
     """Read a balanced motion on a finer grid, and judge it there."""
     samples = FINER * 2 * (depth.shape[-1] - 1)
     equations, drive, w = place.equations, place.drive, place.angular_frequency
@@ -94,9 +95,7 @@ def read_balanced(
     )
 
 
-def balanced_strobes(
-    place: Place, depth: Complex[Array, "stops harmonics"], period: int
-) -> Float[Array, "periods states"]:
+def balanced_strobes(place: Place, depth: Spectra, period: int) -> Float[Array, "periods states"]:
     """Return the states of a balanced motion at drive phase 0, one for each drive period of it."""
     samples = 2 * (depth.shape[-1] - 1)
     equations, drive, w = place.equations, place.drive, place.angular_frequency
@@ -110,15 +109,8 @@ def balanced_strobes(
 def kicked_monodromy(place: Place, at, interval):
     """Jacobian of the period map: exact flight over every sample, contact as a kick."""
     equations = place.equations
-    n = equations.size
-    w = equations.angular_frequency
-    damping = jnp.diag(2 * equations.damping_ratio * w)
-    if equations.damping_coupling is not None:
-        damping = damping + equations.damping_coupling
-    unit = w[0]
-    stiffness = jnp.diag(equations.modal_stiffness)
-    flight = jnp.block([[jnp.zeros((n, n)), unit * jnp.eye(n)], [-stiffness / unit, -damping]])
-    flight = jax.scipy.linalg.expm(flight * interval)
+    n, unit = equations.size, equations.angular_frequency[0]
+    flight = jax.scipy.linalg.expm(equations.flight_matrix * (unit * interval))
     # The slope in the change of depth per sample is one in the rate, over the interval.
     stiffness, rate = at.stiffness * interval / unit, at.damping * interval * interval
 
@@ -134,7 +126,7 @@ def kicked_monodromy(place: Place, at, interval):
     return matrix
 
 
-@eqx.filter_jit
+@compiled
 def _read(paths, depth, parameter, period):
     return jax.vmap(lambda path, d, p: read_balanced(path.at(p), d, period))(
         paths, depth, parameter
@@ -142,12 +134,7 @@ def _read(paths, depth, parameter, period):
 
 
 def read_all(
-    paths: AbstractPath,
-    lane: np.ndarray,
-    depth: np.ndarray,
-    parameter: np.ndarray,
-    *,
-    period: int,
+    paths: AbstractPath, lane: np.ndarray, depth: np.ndarray, parameter: np.ndarray, *, period: int
 ) -> BalancedMotion:
     """Read many motions, in batches."""
     paths = jax.device_get(paths)
@@ -166,7 +153,7 @@ def solve_balance(
     samples: int,
     period: int,
     harmonics: int | None,
-) -> tuple[Complex[Array, "stops harmonics"], Bool[Array, ""]]:
+) -> tuple[Spectra, Bool[Array, ""]]:
     """Newton's method on the balance from sampled depths; whether it converged.
 
     `still` is the place as a constant, in which the search runs; derivatives are implicit, in
@@ -216,7 +203,7 @@ def solve_balance(
     return found + change, converged
 
 
-@eqx.filter_jit
+@compiled
 def _solve_here(paths, depth, parameter, period):
     samples = 2 * (depth.shape[-1] - 1)
 

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 BATCH = 64
@@ -12,6 +13,21 @@ REPAIRS = 3
 def take(tree, index):
     """Pick lanes of a stacked tree."""
     return jax.tree.map(lambda a: a[index] if eqx.is_array(a) else a, tree)
+
+
+def take_rigs(tree, rigs):
+    """Pick rigs of a tree in which they are the trailing axis."""
+    return jax.tree.map(lambda a: jnp.take(a, rigs, axis=-1) if eqx.is_array(a) else a, tree)
+
+
+def filled_up(lanes: int, width: int) -> np.ndarray:
+    """Index of the lanes, the last one repeated up to full widths: one program for all numbers."""
+    return np.minimum(np.arange(-(-lanes // width) * width), lanes - 1)
+
+
+def one_or_many(lanes: int, many: int) -> np.ndarray:
+    """Index of the lanes, filled up to full widths of `many`; a single one has its own program."""
+    return filled_up(lanes, 1 if lanes == 1 else many)
 
 
 def in_batches(function, count: int, width: int = BATCH):

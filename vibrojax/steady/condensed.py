@@ -23,7 +23,10 @@ from vibrojax.model.equations import LinearEquations
 from vibrojax.model.laws import can_pull, linear_coefficients
 from vibrojax.model.stops import Stop
 from vibrojax.steady.methods import check_balance
-from vibrojax.stepping.contact_phases import _eigen
+from vibrojax.stepping.contact_phases import eigen
+
+Scalar = Float[Array, ""]
+Spectra = Complex[Array, "stops harmonics"]
 
 LEAST_DYNAMIC = 1e-6
 """Least dynamic stiffness of a mode at resonance, relative to its static one: below it a balance
@@ -37,8 +40,8 @@ class Receptance(NamedTuple):
 
     stop_from_force: Complex[Array, "stops stops harmonics"]
     """Displacement of each contact point towards its stop, by contact force (so mostly below 0)."""
-    stop_from_input: Complex[Array, "stops harmonics"]
-    response_from_force: Complex[Array, "stops harmonics"]
+    stop_from_input: Spectra
+    response_from_force: Spectra
     response_from_input: Complex[Array, " harmonics"]
 
 
@@ -54,14 +57,13 @@ def receptance(
 def _transfer(equations: LinearEquations, w: Float[Array, " harmonics"], rows):
     """Displacements (rows of the coordinates) by contact force and, last, by the input."""
     columns = jnp.concatenate([-equations.force_map, equations.input_map[:, None]], axis=1)
-    coupling = equations.damping_coupling
-    if coupling is None:
+    if equations.damping_coupling is None:
         natural, zeta = equations.angular_frequency, equations.damping_ratio
         stiff = equations.modal_stiffness[:, None] - w**2
         dynamic = stiff + 2j * (zeta * natural)[:, None] * w
         compliance = 1.0 / _damped(dynamic, 1j * (natural**2)[:, None])
         return jnp.einsum("ri,ic,ik->rck", rows, columns, compliance)
-    poles, left, right = _flight_poles(equations, coupling, rows, columns)
+    poles, left, right = _flight_poles(equations, rows, columns)
     dynamic = _damped(1j * w - poles[:, None], equations.angular_frequency[0])
     return jnp.einsum("rp,pc,pk->rck", left, right, 1.0 / dynamic)
 
@@ -72,14 +74,10 @@ def _damped(dynamic, damping):
     return jnp.where(jnp.abs(dynamic) < jnp.abs(least), least, dynamic)
 
 
-def _flight_poles(equations: LinearEquations, coupling: Array, rows, columns):
+def _flight_poles(equations: LinearEquations, rows, columns):
     """Poles of the unstopped system with coupled damping, and the two factors of its residues."""
-    n = equations.size
-    unit = equations.angular_frequency[0]
-    w, stiffness = equations.angular_frequency / unit, equations.modal_stiffness / unit**2
-    coupled = jnp.diag(2 * equations.damping_ratio * w) + coupling / unit
-    matrix = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [-jnp.diag(stiffness), -coupled]])
-    values, vectors = _eigen(matrix)
+    n, unit = equations.size, equations.angular_frequency[0]
+    values, vectors = eigen(equations.flight_matrix)
     input_of = jnp.concatenate([jnp.zeros_like(columns), columns / unit]).astype(vectors.dtype)
     return values * unit, rows @ vectors[:n], jnp.linalg.solve(vectors, input_of)
 
@@ -89,7 +87,7 @@ class Problem(eqx.Module):
 
     stops: tuple[Stop, ...]
     receptance: Receptance
-    drive: Complex[Array, "stops harmonics"]
+    drive: Spectra
     """Spectrum of the averaged depth without contact."""
     response_drive: Complex[Array, " harmonics"]
     """Spectrum of the reported displacement without contact."""
@@ -103,7 +101,7 @@ def cell_average(samples: int, harmonics: int) -> Float[np.ndarray, " harmonics"
 def condensed_problem(
     equations: LinearEquations,
     drive: AbstractDrive,
-    angular_frequency: Float[Array, ""],
+    angular_frequency: Scalar,
     *,
     samples: int,
     period: int = 1,
@@ -146,7 +144,7 @@ def cell_force(
     stop: Stop,
     depth: Float[Array, " samples"],
     change: Float[Array, " samples"],
-    per_second: Float[Array, ""],
+    per_second: Scalar,
 ) -> Float[Array, " samples"]:
     """Contact force averaged over the sampling cell, N.
 
@@ -180,20 +178,15 @@ def _law_force(stop: Stop, depth, rate):
 class Balance(NamedTuple):
     """Residual of a motion and what its linearisation needs."""
 
-    residual: Complex[Array, "stops harmonics"]
-    force: Complex[Array, "stops harmonics"]
+    residual: Spectra
+    force: Spectra
     stiffness: Float[Array, "stops samples"]
     """Slope of the averaged force in the averaged depth."""
     damping: Float[Array, "stops samples"]
     """Slope in the change of depth per sample."""
 
 
-def balance(
-    problem: Problem,
-    depth: Complex[Array, "stops harmonics"],
-    per_second: Float[Array, ""],
-    samples: int,
-) -> Balance:
+def balance(problem: Problem, depth: Spectra, per_second: Scalar, samples: int) -> Balance:
     """Evaluate the residual depth - depth without contact - receptance * force."""
     both = jnp.stack([depth, differentiate(depth, samples)])
     value, change = jnp.fft.irfft(both, samples)
@@ -263,9 +256,9 @@ def solve_condensed(
 def state_of(
     equations: LinearEquations,
     drive: AbstractDrive,
-    angular_frequency: Float[Array, ""],
-    force: Complex[Array, "stops harmonics"],
-    angle: Float[Array, ""],
+    angular_frequency: Scalar,
+    force: Spectra,
+    angle: Scalar,
     *,
     samples: int,
     period: int = 1,

@@ -25,9 +25,6 @@ lax = jax.lax
 Phase = Int[ArrayLike, ""]
 Angle = Float[ArrayLike, ""]
 
-MOST_EVENTS = 16
-"""Touches and departures in a motion: room for eight contacts."""
-
 
 class Events(NamedTuple):
     """Which stops change contact, in order of time."""

@@ -13,14 +13,12 @@ from vibrojax.steady.contact_times import (
     null_vector,
     solve_orbit,
 )
-from vibrojax.steady.orbit_reading import Reading, read_motion
+from vibrojax.steady.orbit_reading import Reading, keeps_to_events, read_motion
 
 ACCURATE = 1e-9
 """Largest relative residual of an exact motion."""
 NEAR = 0.3
 """Farthest that a motion may lie from its guess, over its size: beyond, it is another one."""
-BREACH = 1e-8
-"""Largest breach of the sequence of events, over the size of the motion."""
 
 
 class ExactPoint(NamedTuple):
@@ -70,10 +68,6 @@ def exact_point(
     motion = solved.motion
     reading = read_motion(tables, events, motion, period)
     n = solved.orbit.state.size
-    size = jnp.maximum(
-        jnp.max(jnp.abs(tables.phases.gap), initial=0.0),
-        jnp.maximum(reading.highest, -reading.lowest),
-    )
     moved = (solved.orbit.state - guess.orbit.state) * tables.phases.weight
     extent = jnp.linalg.norm(guess.orbit.state * tables.phases.weight)
     whole = jnp.all(jnp.isfinite(solved.jacobian)) & jnp.isfinite(solved.residual)
@@ -81,8 +75,7 @@ def exact_point(
         whole
         & (solved.residual < ACCURATE)
         & (jnp.linalg.norm(moved) <= NEAR * extent)
-        & reading.ordered
-        & ~(reading.breach > BREACH * size)
+        & keeps_to_events(tables, reading)
         & guess.fits
     )
     matrix = jnp.where(jnp.isfinite(solved.jacobian), solved.jacobian, 0.0)

@@ -1,12 +1,19 @@
 """Derivatives of a solution without those of the search that found it."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array
+
+from vibrojax._tools.compiled import Compiled, compiled
+
+Result = TypeVar("Result")
 
 
 def frozen(tree: Any) -> Any:
@@ -14,37 +21,61 @@ def frozen(tree: Any) -> Any:
     return jax.tree.map(lambda a: jax.lax.stop_gradient(a) if eqx.is_array(a) else a, tree)
 
 
-def with_columns(function: Callable[..., Any], numbers: Any, *constants: Any) -> Any:
+def with_columns(function: Callable[..., Result], numbers: Any, *constants: Any) -> Result:
     """Return `function(numbers, *constants)` with derivatives in both modes, from forward mode.
 
-    For functions that forward mode can differentiate and reverse mode cannot (loops of unknown
-    length): the Jacobian is formed column by column, one per number, and only when a derivative is
-    asked for. `numbers` is a PyTree of arrays; `function` returns one too. It has no derivative in
-    the `constants`, PyTrees of arrays; what JAX is tracing must be among them, not closed over.
+    The Jacobian is formed column by column, one per number, and only when a derivative is asked
+    for: so what reverse mode cannot do (loops of unknown length) need not be, and derivatives
+    outside of other transformations are a compiled program, as the values are. `numbers` is a
+    PyTree of arrays, as `function` returns one; it has no derivative in the `constants`. What JAX
+    is tracing must be among them, not closed over.
     """
     flat, unravel = ravel_pytree(numbers)
-    shapes = jax.eval_shape(function, numbers, *constants)
-    leaves, structure = jax.tree.flatten(shapes)
-    inexact = [jnp.issubdtype(leaf.dtype, jnp.inexact) for leaf in leaves]
+    arrays, held = eqx.partition(frozen(constants), eqx.is_array)
+    structure = []  # of one, known when the values are
 
     @jax.custom_jvp
-    def values(x, constants):
-        return jax.tree.leaves(function(unravel(x), *constants))
+    def values(x, arrays):
+        found = function(unravel(x), *eqx.combine(arrays, held))
+        structure[:] = [jax.tree.structure(found)]
+        return jax.tree.leaves(found)
 
     @values.defjvp
     def values_jvp(primals, tangents):
-        (x, constants), (change, _) = primals, tangents
-
-        def smooth(x):
-            out = jax.tree.leaves(function(unravel(x), *constants))
-            return [a for a, ok in zip(out, inexact, strict=True) if ok]
-
-        out = values(x, constants)
-        columns = iter(jax.jacfwd(smooth)(x))
+        (x, arrays), (change, _) = primals, tangents
+        out = values(x, arrays)
+        columns = iter(_columns(function, unravel(x), eqx.combine(arrays, held)))
         changes = [
-            next(columns) @ change if ok else jnp.zeros(a.shape, jax.dtypes.float0)
-            for a, ok in zip(out, inexact, strict=True)
+            (next(columns) @ change).astype(a.dtype)
+            if _is_smooth(a)
+            else np.zeros(a.shape, jax.dtypes.float0)
+            for a in out
         ]
         return out, changes
 
-    return jax.tree.unflatten(structure, values(flat, frozen(constants)))
+    leaves = values(flat, arrays)
+    return jax.tree.unflatten(structure[0], leaves)
+
+
+def compile_ahead(function: Compiled[..., Any], numbers: Any, *constants: Any) -> None:
+    """Compile in the background what `with_columns` will run; of constants the shapes count."""
+    still = frozen(numbers)
+    function.ahead(still, *constants)
+    if any(isinstance(a, Tracer) for a in jax.tree.leaves(numbers)):  # to be differentiated
+        _columns.ahead(function, still, constants)
+
+
+def _is_smooth(array: Any) -> bool:
+    return jnp.issubdtype(array.dtype, jnp.inexact)
+
+
+@compiled(lightly=True)
+def _columns(function: Callable[..., Any], numbers: Any, constants: Any) -> list[Array]:
+    """Jacobians of what is returned and has one, the numbers along the last axis."""
+    flat, unravel = ravel_pytree(numbers)
+
+    def smooth(x):
+        out = jax.tree.leaves(function(unravel(x), *constants))
+        return [jnp.asarray(a) for a in out if _is_smooth(a)]
+
+    return jax.jacfwd(smooth)(flat)

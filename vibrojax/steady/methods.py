@@ -5,8 +5,8 @@ from typing import Any
 import diffrax
 import equinox as eqx
 
-from vibrojax._tools.checks import check_count
-from vibrojax._tools.described import described
+from vibrojax._tools.checks import check_count, check_range
+from vibrojax._tools.described import AbstractSettings
 from vibrojax._tools.signatures import validated
 from vibrojax.model.stops import Stop
 
@@ -26,7 +26,7 @@ def check_balance(stops: tuple[Stop, ...]) -> None:
 
 
 @validated
-class HarmonicBalance(eqx.Module):
+class HarmonicBalance(AbstractSettings):
     """Condensed harmonic balance: the motion at the stops, sampled in time.
 
     For systems that are linear but for their stops, any contact law that is a function of depth
@@ -50,46 +50,38 @@ class HarmonicBalance(eqx.Module):
         if self.harmonics is not None:
             check_count("harmonics", self.harmonics)
 
-    def __repr__(self) -> str:
-        return described(self)
-
     def samples_for(self, tolerance: float) -> int:
         """Return the samples per drive period for a relative error.
 
         Raises `ValueError` when the samples asked for cannot reach the tolerance.
         """
-        needed = next((n for reached, n in SAMPLES if tolerance >= reached), None)
         if self.samples is None:
-            if needed is None:
-                raise ValueError(
-                    f"tolerance = {tolerance:g} is out of reach of harmonic balance: the least is "
-                    f"{SAMPLES[-1][0]:g}. Use linear stops without smoothing, which are solved "
-                    "exactly, or Shooting()."
-                )
-            return needed
-        return self.samples
-
-    def check_reach(self, tolerance: float) -> None:
-        """Refuse, with a `ValueError`, a tolerance that the samples cannot reach."""
-        if self.samples is None:
-            return
+            needed = next((n for reached, n in SAMPLES if tolerance >= reached), None)
+            if needed is not None:
+                return needed
+            raise ValueError(
+                f"tolerance = {tolerance:g} is out of reach of harmonic balance: the least is "
+                f"{SAMPLES[-1][0]:g}. Use linear stops without smoothing, which are solved "
+                "exactly, or Shooting()."
+            )
         reach = next((r for r, n in reversed(SAMPLES) if self.samples >= n), 1e-2)
         if tolerance < reach:
             raise ValueError(
                 f"tolerance = {tolerance:g} is out of reach of {self.samples} samples, which give "
                 f"about {reach:g}. Leave samples out, or allow more."
             )
+        return self.samples
 
 
 @validated
-class Shooting(eqx.Module):
+class Shooting(AbstractSettings):
     """Newton's method on the period map, its Jacobian in forward mode through the stepper.
 
-    For every system and every solver. Raises `ValueError` for a solver that is none, or fewer than
-    16 steps per period.
+    For every system and every stepper. Raises `ValueError` for a stepper that is none, or fewer
+    than 16 steps per period.
     """
 
-    solver: diffrax.AbstractSolver[Any] | None = None
+    stepper: diffrax.AbstractSolver[Any] | None = None
     """A diffrax solver, at equal steps; by default the one that suits the system."""
     steps_per_period: int = eqx.field(static=True, default=512)
     """Equal steps per drive period (samples of the result)."""
@@ -98,10 +90,30 @@ class Shooting(eqx.Module):
 
     def __check_init__(self) -> None:
         """Refuse settings that cannot work."""
-        if self.solver is not None and not isinstance(self.solver, diffrax.AbstractSolver):
-            raise ValueError(f"solver must be a diffrax solver, got {self.solver!r}.")
+        if self.stepper is not None and not isinstance(self.stepper, diffrax.AbstractSolver):
+            raise ValueError(f"stepper must be a diffrax solver, got {self.stepper!r}.")
         check_count("steps_per_period", self.steps_per_period, least=16)
         check_count("max_steps", self.max_steps)
 
-    def __repr__(self) -> str:
-        return described(self)
+
+@validated
+class PeriodicSettings(AbstractSettings):
+    """How periodic motions are solved for, as `periodic_response` and maps of them take it.
+
+    Raises `ValueError` for a period below 1, or a tolerance that cannot work.
+    """
+
+    period: int = eqx.field(static=True, default=1)
+    """Drive periods after which the motion repeats."""
+    tolerance: float = eqx.field(static=True, default=1e-4)
+    """Relative error to aim at, where the solution is not exact."""
+    method: Shooting | HarmonicBalance | None = None
+    """`Shooting()` or `HarmonicBalance()`. None: linear stops are solved exactly between their
+    contact times (shooting through exact propagators), other stops by harmonic balance, stops with
+    an internal state, modes that fall away and other systems by shooting."""
+
+    def __check_init__(self) -> None:
+        """Refuse settings that cannot work."""
+        check_count("period", self.period)
+        allowed = "above 0, up to 0.1"
+        check_range("tolerance", self.tolerance, 0.0, 0.1, include_low=False, allowed=allowed)

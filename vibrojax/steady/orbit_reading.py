@@ -9,6 +9,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax._tools.trigonometry import cosine
 from vibrojax.steady.contact_times import Events, PiecewiseMotion, Tables, forced, moved_on
+from vibrojax.steady.exact_means import mean_square_and_harmonic
 from vibrojax.stepping.cubic import Cubic, cubic_between, cubic_maximum
 from vibrojax.stepping.phase_motion import driven_blocks, stop_push
 
@@ -23,6 +24,8 @@ IN_CONTACT = 64
 """Further places in the time of contact."""
 FINE = 33
 """Places around an extreme."""
+BREACH = 1e-8
+"""Largest breach of the sequence of events, over the size of the motion."""
 
 
 class Reading(NamedTuple):
@@ -82,8 +85,17 @@ def _segment_of(
     return jnp.minimum(found, motion.stop.size - 1)
 
 
-def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period: int) -> Reading:
-    """Read amplitudes, forces and contact off a motion, and check that it keeps to its events."""
+def read_motion(
+    tables: Tables,
+    events: Events,
+    motion: PiecewiseMotion,
+    period: int,
+    count: Int[Array, ""] | None = None,
+) -> Reading:
+    """Read amplitudes, forces and contact off a motion, and check that it keeps to its events.
+
+    `count` as in `follow_events`.
+    """
     phases, stops = tables.phases, tables.phases.num_stops
     begin, whole = events.section, 2 * np.pi * period
     length = jnp.maximum(motion.stop - motion.start, 0.0)
@@ -151,15 +163,19 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
     if stops:
         long_enough = held & (length > 0)[:, None]
         peak = jnp.maximum(peak, jnp.max(_force(tables, at_start, long_enough.T)))
-    wave = (response * jnp.sin(angle), response * jnp.cos(angle))
+    if tables.driven is None:
+        mean_square, harmonic = mean_square_and_harmonic(tables, motion, period, count)
+    else:
+        mean_square = jnp.mean(response**2)
+        harmonic = 2 * jnp.hypot(*(jnp.mean(response * f(angle)) for f in (jnp.sin, jnp.cos)))
     entered = (events.stop >= 0) & (motion.phase[1:] > motion.phase[:-1])
     origin = jnp.where(begin > 0, whole, 0.0)
     at = _segment_of(motion, origin)
     return Reading(
         highest=highest,
         lowest=lowest,
-        mean_square=jnp.mean(response**2),
-        first_harmonic=2 * jnp.hypot(*(jnp.mean(w) for w in wave)),
+        mean_square=mean_square,
+        first_harmonic=harmonic,
         contact_force=peak,
         contact_fraction=touched[-1] / whole,
         contacts=jnp.sum(entered, dtype=jnp.int32),
@@ -169,6 +185,15 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
         depth=rows[:stops, :grid],
         change=rows[stops : 2 * stops, :grid] * (width / tables.angular_frequency),
     )
+
+
+def keeps_to_events(tables: Tables, reading: Reading) -> Bool[Array, ""]:
+    """Whether a motion keeps to its sequence of events."""
+    size = jnp.maximum(
+        jnp.max(jnp.abs(tables.phases.gap), initial=0.0),
+        jnp.maximum(reading.highest, -reading.lowest),
+    )
+    return reading.ordered & ~(reading.breach > BREACH * size)
 
 
 def _force(

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import LinearEquations
@@ -88,8 +89,28 @@ class FrequencyPath(AbstractPath):
         return tables_of(self.phases, self.drive, parameter * self.unit)
 
 
-class ParameterPath(AbstractPath):
-    """A named number of the user's function changes, the drive frequency stays."""
+class NumberPath(AbstractPath):
+    """Some numbers of a system are the parameter themselves, the drive frequency stays."""
+
+    system: AbstractSystem
+    followed: tuple[bool, ...] = eqx.field(static=True)
+    """Which of its numbers."""
+    frequency: Float[Array, "..."]
+    is_ratio: bool = eqx.field(static=True)
+
+    def with_number(self, parameter: Float[Array, "*lanes"]) -> AbstractSystem:
+        """Return the system with this number."""
+        leaves, structure = jax.tree.flatten(self.system)
+        both = zip(leaves, self.followed, strict=True)
+        return jax.tree.unflatten(structure, [parameter if f else leaf for leaf, f in both])
+
+    def at(self, parameter: Float[Array, ""]) -> Place:
+        """Return equations, drive and drive frequency with this number."""
+        return _place_at(self.with_number(parameter), self.frequency, self.is_ratio)
+
+
+class FunctionPath(AbstractPath):
+    """A named number of the user's function changes, and the function computes with it."""
 
     make: Callable[..., AbstractSystem] = eqx.field(static=True)
     name: str = eqx.field(static=True)
@@ -102,10 +123,14 @@ class ParameterPath(AbstractPath):
     def at(self, parameter: Float[Array, ""]) -> Place:
         """Make the system anew."""
         system = self.make(**self.static, **self.fixed, **{self.name: parameter})
-        equations = system.equations().linear_between_contacts
-        assert equations is not None  # checked before
-        unit = equations.angular_frequency[0] if self.is_ratio else 2 * jnp.pi
-        return Place(equations, system.drive, self.frequency * unit)
+        return _place_at(system, self.frequency, self.is_ratio)
+
+
+def _place_at(system: AbstractSystem, frequency: Array, is_ratio: bool) -> Place:
+    equations = system.equations().linear_between_contacts
+    assert equations is not None  # checked before
+    unit = equations.angular_frequency[0] if is_ratio else 2 * jnp.pi
+    return Place(equations, system.drive, frequency * unit)
 
 
 def localise(
@@ -127,7 +152,7 @@ def localise(
     return replace(local, resonant=can_resonate(local.phases))
 
 
-@eqx.filter_jit
+@compiled
 def _localise(paths: AbstractPath, parameter: Float[AnyArray, " points"], exact: bool) -> LocalPath:
     def one(path, p):
         def value(p):

@@ -3,29 +3,30 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._tools.checks import check_count, check_one_number, check_range, is_traced
+from vibrojax._tools.checks import check_one_number, is_traced
+from vibrojax._tools.compiled import compiled, is_alone
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
 from vibrojax.model.states import ABOUT_STATES, as_state
-from vibrojax.model.systems import AbstractSystem, as_arrays, check_is_system
+from vibrojax.model.systems import AbstractSystem, as_arrays, check_is_system, equation_kinds
 from vibrojax.steady.balanced_motion import balanced_strobes, read_balanced, solve_balance
 from vibrojax.steady.batches import REPAIRS
-from vibrojax.steady.contact_times import MOST_EVENTS, Events, Orbit, follow_events
+from vibrojax.steady.contact_times import Events, Orbit, follow_events
 from vibrojax.steady.exact_point import Guess, exact_point
-from vibrojax.steady.implicit import frozen
-from vibrojax.steady.methods import HarmonicBalance, Shooting, check_balance
+from vibrojax.steady.implicit import compile_ahead, frozen, with_columns
+from vibrojax.steady.methods import HarmonicBalance, PeriodicSettings, Shooting, check_balance
 from vibrojax.steady.orbit_reading import find_crossings, read_motion, state_at
-from vibrojax.steady.paths import FrequencyPath, frequency_path
+from vibrojax.steady.paths import frequency_path
 from vibrojax.steady.periodic_result import PeriodicResponse, reading_of
 from vibrojax.steady.shooting import shoot
 from vibrojax.steady.starting import sampled_motion, settled_motion
 from vibrojax.stepping.choice import is_exact
+from vibrojax.stepping.measures import MOST_EVENTS
 
 lax = jax.lax
 
@@ -39,12 +40,10 @@ def periodic_response(
     *,
     frequency_ratio: ArrayLike | None = None,
     frequency: ArrayLike | None = None,
-    period: int = 1,
     guess: PeriodicResponse | ArrayLike | Sequence[float] | None = None,
-    method: Shooting | HarmonicBalance | None = None,
-    tolerance: float = 1e-4,
+    settings: PeriodicSettings | None = None,
 ) -> PeriodicResponse:
-    """Solve for the steady state: a motion that returns after `period` drive periods.
+    """Solve for the steady state: a motion that repeats itself.
 
     It can be differentiated with respect to every number in the system and the frequency, in
     forward and reverse mode, and mapped with `jax.vmap`, in both nestings. Derivatives are those of
@@ -54,26 +53,21 @@ def periodic_response(
         system: what moves.
         frequency_ratio, frequency: drive frequency, one of the two (ratio to the first natural
             frequency of the unstopped system, or Hz).
-        period: drive periods after which the motion repeats.
         guess: where Newton's method starts: a `PeriodicResponse`, or a state at drive phase 0: what
             `system.state(displacement=..., velocity=...)` makes of displacements, one of
             `history.states`, or (q, q') in the coordinates of the system, those of its modes for a
             beam and for matrices, the memories of stops behind them. By default a march from rest
             until it settles.
-        method: `Shooting()` or `HarmonicBalance()`. By default linear stops are solved exactly
-            between their contact times (shooting through exact propagators), other stops by
-            harmonic balance, stops with an internal state, modes that fall away and other systems
-            by shooting.
-        tolerance: relative error to aim at, where the solution is not exact.
+        settings: `vj.PeriodicSettings(period=..., tolerance=..., method=...)`.
 
-    Raises `ValueError` for a period below 1, settings that contradict each other, a tolerance out
-    of reach, or a method that cannot take the system. A search that fails is flagged in `status`.
+    Raises `ValueError` for arguments that contradict each other, a tolerance out of reach, or a
+    method that cannot take the system. A search that fails is flagged in `status`.
     Where a guess led elsewhere, to a motion that lies far from it (`guess_distance`) or repeats
     sooner than asked for (`minimal_period`), the result says so, and a warning outside of
     transformations.
     """
-    check_count("period", period)
-    check_range("tolerance", tolerance, 0.0, 0.1, include_low=False, allowed="above 0, up to 0.1")
+    settings = settings or PeriodicSettings()
+    period, tolerance, method = settings.period, settings.tolerance, settings.method
     if (frequency_ratio is None) == (frequency is None):
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
     is_ratio = frequency_ratio is not None
@@ -82,10 +76,8 @@ def periodic_response(
     check_is_system(system)
     advice = "Use continue_response, frequency_sweep or jax.vmap for many."
     check_one_number(name, value, unit, advice)
-    if method is not None and not isinstance(method, Shooting | HarmonicBalance):
-        raise ValueError(f"method must be Shooting() or HarmonicBalance(), got {method!r}.")
     arrays, value = as_arrays(system), jnp.asarray(value, float)
-    equations = eqx.filter_eval_shape(arrays.equations)
+    equations = equation_kinds(arrays)
     linear = equations.linear_between_contacts
     if is_ratio and linear is None:
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
@@ -101,18 +93,22 @@ def periodic_response(
         if isinstance(method, HarmonicBalance):
             raise ValueError(
                 f"{type(system).__name__} is not linear but for its stops, which harmonic balance "
-                "needs. Use method=Shooting()."
+                "needs. Use PeriodicSettings(method=Shooting())."
             )
         found = shoot(arrays, value, is_ratio, period, state, method or Shooting(), exact)
     elif method is None and (exact or not equations.stops):
-        found = _exactly(arrays, value, is_ratio, period, state)
+        numbers, how = (arrays, value), (is_ratio, period, state)
+        still = frozen((*numbers, *how))
+        if is_alone(still):
+            compile_ahead(_read_exactly, numbers, _solved_exactly.kinds(*still), *frozen(how))
+        found = with_columns(_read_exactly, numbers, _solved_exactly(*still), *how)
     elif not equations.stops:
         raise ValueError("HarmonicBalance() needs a stop; leave method out for a linear system.")
     else:
         balance = HarmonicBalance() if method is None else method
-        balance.check_reach(tolerance)
         samples, harmonics = balance.samples_for(tolerance), balance.harmonics
-        found = _by_balance(arrays, value, is_ratio, period, state, samples, harmonics, exact)
+        how = is_ratio, period, state, samples, harmonics, exact
+        found = with_columns(_by_balance, (arrays, value), *how)
     if guess is not None and not is_traced(found.status):
         _warn_of_guess(found)
     return found
@@ -124,10 +120,10 @@ def _warn_of_guess(found: PeriodicResponse) -> None:
         warn(f"From this guess: {found.sentence} {ABOUT_STATES}")
 
 
-@eqx.filter_jit
-def _exactly(system, value, is_ratio, period, state) -> PeriodicResponse:
+@compiled(lightly=True)
+def _read_exactly(numbers, found: "_Solution", is_ratio, period, state) -> PeriodicResponse:
+    system, value = numbers
     path = frequency_path(system, is_ratio, True)
-    found = _solved_exactly(frozen(path), frozen(value), period, frozen(state))
     # One Newton step from the solution, in which only the numbers of the system are
     # differentiated, has the value of the solution and its implicit derivative.
     tables = path.tables(value)
@@ -168,8 +164,10 @@ class _Solution(NamedTuple):
     valid: Array
 
 
-def _solved_exactly(path: FrequencyPath, value, period: int, state) -> _Solution:
+@compiled
+def _solved_exactly(system, value, is_ratio, period: int, state) -> _Solution:
     """Find the motion and its sequence of contacts; no derivatives."""
+    path = frequency_path(system, is_ratio, True)
     assert path.phases is not None
     weight = path.phases.weight
     if not path.equations.stops:
@@ -223,8 +221,9 @@ def _solved_exactly(path: FrequencyPath, value, period: int, state) -> _Solution
     return best
 
 
-@eqx.filter_jit
-def _by_balance(system, value, is_ratio, period, state, samples, harmonics, exact):
+@compiled
+def _by_balance(numbers, is_ratio, period, state, samples, harmonics, exact):
+    system, value = numbers
     path = frequency_path(system, is_ratio, False)
     place, still = path.at(value), frozen(path).at(frozen(value))
     start = frozen(state)

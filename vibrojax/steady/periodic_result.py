@@ -9,9 +9,9 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.signatures import validated
-from vibrojax.model.systems import AbstractSystem
+from vibrojax.model.systems import AbstractSystem, equation_kinds
 from vibrojax.results.status import Status
-from vibrojax.results.variables import VARIABLES
+from vibrojax.results.variables import described_as
 from vibrojax.stepping.resonance import is_unbounded, unbounded_at
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ class PeriodicResponse(eqx.Module):
         """
         from vibrojax.history.simulate import simulate
 
-        state = eqx.filter_eval_shape(self.system.equations).split(self.initial_state)
+        state = equation_kinds(self.system).split(self.initial_state)
         return simulate(
             self.system,
             frequency=self.frequency,
@@ -200,30 +200,17 @@ class PeriodicResponse(eqx.Module):
 
         lanes = tuple(f"lane_{k}" for k in range(np.ndim(self.status)))
 
-        def described(name: str) -> dict[str, str]:
-            unit, long_name = VARIABLES[name]
-            unit = self.ratio_units if unit == "ratio" else unit
-            return {"units": unit, "long_name": long_name}
+        def variable(name: str, values: Any, *dims: str) -> tuple[Any, ...]:
+            return (*lanes, *dims), np.asarray(values), described_as(name, self.ratio_units)
 
-        data: dict[str, Any] = {
-            name: (lanes, np.asarray(getattr(self, name)), described(name))
-            for name in (
-                *NUMBERS,
-                "frequency_ratio",
-                "minimal_period",
-                "guess_distance",
-                "status",
-            )
-        }
+        names = (*NUMBERS, "frequency_ratio", "minimal_period", "guess_distance", "status")
+        data: dict[str, Any] = {name: variable(name, getattr(self, name)) for name in names}
         multipliers = np.asarray(self.floquet_multipliers)
         for part, values in (("real", np.real(multipliers)), ("imaginary", np.imag(multipliers))):
             name = f"floquet_multiplier_{part}"
-            data[name] = ((*lanes, "multiplier"), values, described(name))
-        data["initial_state"] = (
-            (*lanes, "state"),
-            np.asarray(self.initial_state),
-            {"units": "m, m/s", "long_name": "Modal displacements, then velocities, at phase 0"},
-        )
+            data[name] = variable(name, values, "multiplier")
+        about = {"units": "m, m/s", "long_name": "Modal displacements, then velocities, at phase 0"}
+        data["initial_state"] = (*lanes, "state"), np.asarray(self.initial_state), about
         return xarray.Dataset(data, attrs={"title": "vibrojax periodic response"})
 
     def __repr__(self) -> str:

@@ -15,9 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax._tools.types import AnyArray
-from vibrojax.results.status import Status
-from vibrojax.stepping.measures import Measures
-from vibrojax.stepping.method import AbstractMarch
+from vibrojax.stepping.stepper import AbstractMarch
 
 lax = jax.lax
 
@@ -30,19 +28,6 @@ STEADY = 3
 """Periods in a row that have to look settled."""
 APERIODIC_PERIODS = 24
 """Periods over which a motion without a period is measured."""
-
-
-class Settled(NamedTuple):
-    """Steady state of a lane at one frequency."""
-
-    state: Float[Array, "states *lanes"]
-    period: Int[Array, "*lanes"]
-    status: Int[Array, "*lanes"]
-    periods_marched: Int[Array, "*lanes"]
-    steps: Int[Array, "*lanes"]
-    window: Int[Array, "*lanes"]
-    """Drive periods measured."""
-    measures: Measures
 
 
 class Search(NamedTuple):
@@ -145,6 +130,13 @@ def found_period(search: Search, tolerance: Float[Array, "*#lanes"]) -> Int[Arra
     return jnp.where(search.streak >= STEADY, first, 0).astype(jnp.int32)
 
 
+def is_stable(matrix: Float[Array, "*lanes states states"]) -> Bool[Array, "*lanes"]:
+    """Whether the spectral radius of period maps is below 1: their high powers vanish."""
+    for _ in range(12):
+        matrix = matrix @ matrix
+    return jnp.sqrt(jnp.sum(matrix**2, axis=(-2, -1))) < 1.0
+
+
 def polish(
     march: AbstractMarch,
     weight: Float[Array, "states *#lanes"],
@@ -177,84 +169,8 @@ def polish(
     (end, matrix, residual), _ = lax.scan(
         newton, (start, matrix, jnp.zeros_like(frequency)), None, length=NEWTON_STEPS
     )
-    # Spectral radius below 1: high powers of the Jacobian vanish.
-    power = matrix
-    for _ in range(12):
-        power = power @ power
-    stable = jnp.sqrt(jnp.sum(power**2, axis=(-2, -1))) < 1.0
     size = _size(start, 0)
     near = _size(end - start, 0) <= 5 * NEAR * size
     closed = residual <= CLOSED * size
-    good = stable & near & closed & (period > 0) & jnp.all(jnp.isfinite(end), axis=0)
+    good = is_stable(matrix) & near & closed & (period > 0) & jnp.all(jnp.isfinite(end), axis=0)
     return jnp.where(good, end, start) / weight, good
-
-
-def settle(
-    march: AbstractMarch,
-    state: Float[Array, "states *lanes"],
-    frequency: Float[Array, "*lanes"],
-    *,
-    tolerance: Float[ArrayLike, ""],
-    max_period: int,
-    max_periods: Int[ArrayLike, ""],
-) -> Settled:
-    """Bring every lane to its steady state at its drive angular frequency (rad/s), and measure it.
-
-    `tolerance` is relative to the size of the state in the norm of energy.
-    """
-    lanes = frequency.ndim
-    weight = march.energy_weight()
-    weight = weight.reshape(weight.shape + (1,) * (lanes + 1 - weight.ndim))
-    zero = jnp.zeros(frequency.shape, jnp.int32)
-
-    def march_and_polish(carry, rule):
-        search, state, good, orbit = carry
-        limit, try_newton = rule
-        done = good | (search.marched >= max_periods)
-        search = search._replace(streak=zero, done=done)
-        search = march_until(march, weight, search, frequency, limit, max_periods)
-        period = found_period(search, limit)
-        found = search.history[0] / weight
-        state, orbit = jnp.where(good, state, found), jnp.where(good, orbit, period)
-
-        def try_period(carry, candidate):
-            # Period 1 first: a slowly turning period-1 motion returns best after several periods.
-            state, good, orbit, last = carry
-            wanted = jnp.where(good | (candidate == last), 0, candidate)
-            polished, fits = polish(march, weight, found, frequency, wanted)
-            state = jnp.where(fits, polished, state)
-            return (state, good | fits, jnp.where(fits, candidate, orbit), candidate), None
-
-        candidates = jnp.stack([jnp.minimum(period, 1), period]) * try_newton
-        (state, good, orbit, _), _ = lax.scan(try_period, (state, good, orbit, zero), candidates)
-        return (search, state, good, orbit), None
-
-    # Near the limit first, for Newton's method; what that does not settle goes on to the full
-    # tolerance. One loop for both, so that the march is compiled once.
-    nobody = jnp.zeros(frequency.shape, bool)
-    start = (begin_search(state * weight, max_period), state, nobody, zero)
-    limits = jnp.stack([jnp.asarray(NEAR), jnp.asarray(tolerance, float)])
-    rules = (limits, jnp.array([1, 0], jnp.int32))
-    (final, state, _, period), _ = lax.scan(march_and_polish, start, rules)
-    lost = ~jnp.all(jnp.isfinite(state), axis=0)
-    # A lane that is lost starts again from rest at the next frequency.
-    state = jnp.where(lost, 0.0, state)
-    window = jnp.where(lost, 0, jnp.where(period > 0, period, APERIODIC_PERIODS))
-    end, steps, measures = march(state, frequency, window.astype(jnp.int32), True)
-    assert measures is not None  # a march that observes has them
-    status = jnp.where(
-        lost,
-        Status.diverged.value,
-        jnp.where(period > 0, Status.settled.value, Status.aperiodic.value),
-    )
-    # Periodic lanes go on from the orbit itself, the others from where the measuring ended.
-    state = jnp.where((period == 0) & jnp.all(jnp.isfinite(end), axis=0), end, state)
-    return Settled(
-        state=state,
-        period=period.astype(jnp.int32),
-        status=status.astype(jnp.int32),
-        periods_marched=final.marched,
-        steps=final.steps + steps,
-        window=jnp.maximum(window, 1).astype(jnp.int32),
-        measures=measures,
-    )

@@ -1,4 +1,4 @@
-"""Shooting: Newton's method on the period map of any system under any solver."""
+"""Shooting: Newton's method on the period map of any system under any stepper."""
 
 from typing import Any, NamedTuple
 
@@ -9,13 +9,14 @@ import jax.numpy as jnp
 import optimistix
 from jaxtyping import Array, Float
 
+from vibrojax._tools.compiled import compiled
 from vibrojax.model.drives import AbstractDrive, Harmonic
 from vibrojax.model.equations import AbstractEquations, touching_stops
-from vibrojax.model.systems import AbstractSystem, Motion
+from vibrojax.model.systems import AbstractSystem, Motion, equation_kinds
 from vibrojax.steady.implicit import frozen, with_columns
 from vibrojax.steady.methods import Shooting
 from vibrojax.steady.periodic_result import PeriodicResponse, Sampled, reading_of
-from vibrojax.stepping.choice import choose_method
+from vibrojax.stepping.choice import choose_stepper
 from vibrojax.stepping.cubic import cubic_maximum
 
 SETTLING = 200
@@ -40,18 +41,20 @@ def shoot(
     exact: bool,
 ) -> PeriodicResponse:
     """Solve for the motion that returns after `period` drive periods; see `periodic_response`."""
-    solver = method.solver
-    if solver is None:
-        equations = eqx.filter_eval_shape(system.equations)
+    stepper = method.stepper
+    if stepper is None:
+        equations = equation_kinds(system)
         if equations.stops or equations.linear_between_contacts is not None:
-            solver = choose_method(system, None, 1e-6 if exact else 1e-4, None)
+            stepper = choose_stepper(system, None, 1e-6 if exact else 1e-4, None)
         else:
-            solver = diffrax.Tsit5()  # nothing is stiff or sharp for all that is known
-    return _shoot(system, value, is_ratio, period, state, method, solver)
+            stepper = diffrax.Tsit5()  # nothing is stiff or sharp for all that is known
+    return with_columns(_shoot, (system, value), is_ratio, period, state, method, stepper)
 
 
-@eqx.filter_jit
-def _shoot(system, value, is_ratio, period, state, method, solver):
+@compiled
+def _shoot(numbers, is_ratio, period, state, method, stepper):
+    system, value = numbers
+
     def place_of(system, value) -> _Place:
         equations = system.equations()
         unit = equations.angular_frequency[0] if is_ratio else 2 * jnp.pi
@@ -69,7 +72,7 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
         step = 2 * jnp.pi / frequency / method.steps_per_period
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(motion.vector_field),
-            solver,
+            stepper,
             t0=0.0,
             t1=steps * step,
             dt0=step,
@@ -123,8 +126,7 @@ def _shoot(system, value, is_ratio, period, state, method, solver):
         residual = jax.lax.stop_gradient(residual)
         return reading, multipliers.real, multipliers.imag, residual, strobes
 
-    numbers = system, value
-    reading, real, imaginary, residual, strobes = with_columns(solved, numbers, start, unit)
+    reading, real, imaginary, residual, strobes = solved(numbers, start, unit)
     place = place_of(*numbers)
     return reading_of(
         system,

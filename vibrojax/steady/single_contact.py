@@ -26,12 +26,23 @@ from vibrojax._tools.trigonometry import cosine
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import AbstractEquations, LinearEquations
 from vibrojax.model.laws import can_pull, linear_coefficients
-from vibrojax.steady.contact_times import Tables, moved_on, tables_of
+from vibrojax.steady.contact_times import (
+    Events,
+    PiecewiseMotion,
+    Tables,
+    forced,
+    moved_on,
+    tables_of,
+)
+from vibrojax.steady.orbit_reading import BREACH, Reading, read_motion
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
+
+Scalar = Float[Array, ""]
+State = Float[Array, " states"]
 
 lax = jax.lax
 FLIGHT, CONTACT = 0, 1
-DEPTH, RATE = 0, 1
+DEPTH, RATE, RESPONSE = 0, 1, 3
 """Rows of `ContactPhases.readout` with one stop."""
 
 
@@ -41,28 +52,23 @@ class SingleContact(NamedTuple):
     The unit of a length is that of the reported ratios, m/m for base motion, m/N for a force.
     """
 
-    contact_fraction: Float[Array, ""]
+    contact_fraction: Scalar
     """Share of the drive period in contact."""
-    gap_ratio: Float[Array, ""]
+    gap_ratio: Scalar
     """Gap over drive amplitude at which this is the motion; negative where the stop would have to
     be pressed on at rest."""
-    touch: Float[Array, ""]
+    touch: Scalar
     """Drive phase at touch, rad, in (-pi, pi]."""
-    state: Float[Array, " states"]
+    state: State
     """(q, q') at touch."""
-    touch_rate: Float[Array, ""]
+    touch_rate: Scalar
     """Speed into the stop at touch."""
-    departure_rate: Float[Array, ""]
+    departure_rate: Scalar
     """Speed into the stop at departure, negative in a motion that leaves."""
-    in_contact: Float[Array, " states"]
+    in_contact: State
     """Block coordinates of the free part of the motion, at touch, in contact."""
-    in_flight: Float[Array, " states"]
+    in_flight: State
     """The same at departure, in flight."""
-
-    @property
-    def possible(self) -> Bool[Array, ""]:
-        """Whether the motion enters and leaves the stop in that order, at a gap of 0 or more."""
-        return (self.touch_rate > 0) & (self.departure_rate < 0) & (self.gap_ratio >= 0)
 
 
 def check_single_stop(equations: AbstractEquations) -> LinearEquations:
@@ -71,33 +77,28 @@ def check_single_stop(equations: AbstractEquations) -> LinearEquations:
     Raises `ValueError` unless they are linear with one `KelvinVoigt` stop that may pull
     (tension=True) and is not smoothed.
     """
-    linear = equations.linear_between_contacts
+    linear, stops = equations.linear_between_contacts, equations.stops
+    law = type(stops[0].law).__name__ if stops else ""
     if linear is None:
-        raise ValueError(
-            "Single-contact motions need a system that is linear between contacts, got "
-            f"{type(equations).__name__}."
+        kind = type(equations).__name__
+        fault = f"need a system that is linear between contacts, got {kind}."
+    elif len(stops) != 1:
+        fault = f"need a system with one stop, got {len(stops)}."
+    elif linear_coefficients(stops[0].law) is None:
+        fault = f"need a contact law that is linear (KelvinVoigt), got {law}."
+    elif not can_pull(stops[0].law):
+        fault = (
+            f"need a stop that is left at depth zero, got {law} with tension=False. Give it "
+            "tension=True, or use frequency_sweep."
         )
-    if len(equations.stops) != 1:
-        raise ValueError(
-            f"Single-contact motions need a system with one stop, got {len(equations.stops)}."
+    elif not stops[0].is_linear:
+        fault = (
+            f"keep the corner of the contact force, got smoothing = {stops[0].smoothing!r}. Leave "
+            "smoothing out of the Stop."
         )
-    (stop,) = equations.stops
-    name = type(stop.law).__name__
-    if linear_coefficients(stop.law) is None:
-        raise ValueError(
-            f"Single-contact motions need a contact law that is linear (KelvinVoigt), got {name}."
-        )
-    if not can_pull(stop.law):
-        raise ValueError(
-            f"Single-contact motions need a stop that is left at depth zero, got {name} with "
-            "tension=False. Give it tension=True, or use frequency_sweep."
-        )
-    if not stop.is_linear:
-        raise ValueError(
-            f"Single-contact motions keep the corner of the contact force, got smoothing = "
-            f"{stop.smoothing!r}. Leave smoothing out of the Stop."
-        )
-    return linear
+    else:
+        return linear
+    raise ValueError(f"Single-contact motions {fault}")
 
 
 def unit_phases(equations: LinearEquations) -> ContactPhases:
@@ -107,11 +108,7 @@ def unit_phases(equations: LinearEquations) -> ContactPhases:
 
 
 def unit_tables(
-    phases: ContactPhases,
-    drive: AbstractDrive,
-    angular_frequency: Float[Array, ""],
-    *,
-    resonant: bool = True,
+    phases: ContactPhases, drive: AbstractDrive, angular_frequency: Scalar, *, resonant: bool = True
 ) -> Tables:
     """Tabulate the steady responses to a drive of amplitude 1; `phases` as of `unit_phases`."""
     amplitude, _ = drive.reference
@@ -124,21 +121,12 @@ def unit_tables(
     )
 
 
-def touch_gap_ratio(tables: Tables) -> Float[Array, ""]:
-    """Gap over drive amplitude at which the motion without contact just touches.
+def contact_free(tables: Tables, row: int) -> Scalar:
+    """Amplitude without contact that a row of the read-out sees; infinite at a resonance.
 
-    The limit of `SingleContact.gap_ratio` for short contacts.
+    That of `DEPTH` is the gap ratio at which this motion just touches: the limit of
+    `SingleContact.gap_ratio` for short contacts.
     """
-    return _contact_free(tables, DEPTH)
-
-
-def contact_free_amplitude(tables: Tables) -> Float[Array, ""]:
-    """Reported displacement of the motion without contact, over the drive amplitude."""
-    return _contact_free(tables, 3 * tables.phases.num_stops)
-
-
-def _contact_free(tables: Tables, row: int) -> Float[Array, ""]:
-    """Amplitude that a row of the read-out sees without contact; infinite at a resonance."""
     phases, n = tables.phases, tables.phases.num_blocks
     if tables.driven is None:
         return jnp.abs(tables.rows[FLIGHT, row])
@@ -153,34 +141,15 @@ def _contact_free(tables: Tables, row: int) -> Float[Array, ""]:
     return jnp.where(jnp.any(endless), jnp.inf, jnp.abs(tables.rows[FLIGHT, row] + resonant))
 
 
-def growth(phases: ContactPhases, phase: int, time: Float[Array, ""]):
-    """Real and imaginary parts of exp(exponent time) - 1, by row of the blocks: (2, blocks) each.
-
-    Without cancellation for short times. Real pairs have rate 0, each row its own exponent.
-    """
+def growth(phases: ContactPhases, phase: int, time: Scalar) -> Float[Array, "states states"]:
+    """Return the propagator of the blocks over a time less the identity, exact for short ones."""
     decay, turn = phases.exponent[phase] * time, phases.rate[phase] * time
     growth = jnp.exp(decay)
-    half_sine = cosine(turn / 2 - np.pi / 2)
-    real = jnp.expm1(decay) - 2 * growth * half_sine**2
-    return real, growth * cosine(turn - np.pi / 2)
-
-
-def apply_blocks(parts, matrix):
-    """Block matrix times a vector or matrix of block coordinates."""
-    real, imag = parts
-    if matrix.ndim == 2:
-        real, imag = real[..., None], imag[..., None]
-    top, bottom = jnp.split(matrix, 2)
-    return jnp.concatenate([real[0] * top - imag[0] * bottom, imag[1] * top + real[1] * bottom])
-
-
-def _right(matrix, parts):
-    """Row vector or matrix times a block matrix."""
-    real, imag = parts
-    left, right = jnp.split(matrix, 2, axis=-1)
-    return jnp.concatenate(
-        [left * real[0] + right * imag[1], right * real[1] - left * imag[0]], axis=-1
-    )
+    # Real pairs have rate 0, each row its own exponent.
+    real = jnp.expm1(decay) - 2 * growth * cosine(turn / 2 - np.pi / 2) ** 2
+    imag = growth * cosine(turn - np.pi / 2)
+    (a, b), (c, d) = ([jnp.diag(row) for row in part] for part in (real, imag))
+    return jnp.block([[a, -c], [d, b]])
 
 
 def durations(tables: Tables, contact_fraction):
@@ -190,21 +159,18 @@ def durations(tables: Tables, contact_fraction):
     return angle, angle / w, (2 * np.pi - angle) / w
 
 
-def single_contact(tables: Tables, contact_fraction: Float[Array, ""]) -> SingleContact:
+def single_contact(tables: Tables, contact_fraction: Scalar) -> SingleContact:
     """Return the one motion with this share of the drive period in contact.
 
     There is never a second one: the conditions are linear, and which of the two motions that
-    differ in sign it is follows from its being slowed down in contact. Check `possible`, and with
-    `read_single_contact` whether it stays out of the stop in flight and in it in contact.
+    differ in sign it is follows from its being slowed down in contact. `read_single_contact` says
+    whether it enters and leaves in that order, at a gap of 0 or more, and stays where it is said.
     `tables` as of `unit_tables`; `contact_fraction` in (0, 1).
     """
     phases = tables.phases
     angle, time, flight = durations(tables, contact_fraction)
-    contact = growth(phases, CONTACT, time)
-    free = growth(phases, FLIGHT, flight)
-    grown = (contact[0] + 1, contact[1])
-    kept = (free[0] + 1, free[1])
-    mean = (contact[0] / angle, contact[1] / angle)
+    contact, eye = growth(phases, CONTACT, time), jnp.eye(2 * phases.num_blocks)
+    grown, kept, mean = eye + contact, eye + growth(phases, FLIGHT, flight), contact / angle
     cos, sin = cosine(angle), cosine(angle - np.pi / 2)
     turned = lax.complex(cos, sin)
     half_sine = cosine(angle / 2 - np.pi / 2)
@@ -214,18 +180,17 @@ def single_contact(tables: Tables, contact_fraction: Float[Array, ""]) -> Single
     exchange = phases.change[CONTACT, 0]
     steady = exchange @ tables.steady[CONTACT] - tables.steady[FLIGHT]
     pressed = exchange @ phases.rest[CONTACT]
-    by_state = exchange - apply_blocks(kept, _right(exchange, grown))
+    by_state = exchange - kept @ (exchange @ grown)
     later = steady * turned
     # What blocks in resonance gain in contact and in flight, by the drive phase where it begins.
     gained, gained_later = _gain(tables, CONTACT, angle), _gain(tables, FLIGHT, 2 * np.pi - angle)
     later = later + exchange @ gained
-    by_phasor = steady - lax.complex(apply_blocks(kept, later.real), apply_blocks(kept, later.imag))
-    by_phasor = by_phasor - gained_later * turned
-    by_gap = pressed - apply_blocks(kept, pressed)
+    by_phasor = steady - kept @ later - gained_later * turned
+    by_gap = pressed - kept @ pressed
 
     # Depth zero at touch; its mean rate in contact zero; the mean deceleration one.
     rows, steady_rows = phases.readout[CONTACT], tables.rows[CONTACT]
-    last_rows = [rows[DEPTH], _right(rows[DEPTH], mean), -_right(rows[RATE], mean)]
+    last_rows = [rows[DEPTH], rows[DEPTH] @ mean, -rows[RATE] @ mean]
     last_phasors = [
         steady_rows[DEPTH],
         steady_rows[DEPTH] * mean_turn + rows[DEPTH] @ gained / angle,
@@ -249,22 +214,22 @@ def single_contact(tables: Tables, contact_fraction: Float[Array, ""]) -> Single
     amplitude = jnp.hypot(c, s)
     z, c, s, gap = z / amplitude, c / amplitude, s / amplitude, gap / amplitude
 
-    def forced(table, c, s):
+    def swung(table, c, s):
         return table.imag * c + table.real * s
 
     end_c, end_s = c * cos - s * sin, s * cos + c * sin
-    blocks = z + forced(tables.steady[CONTACT], c, s) + phases.rest[CONTACT] * gap
-    end = apply_blocks(grown, z) + forced(gained, c, s)
-    departed = exchange @ (end + forced(tables.steady[CONTACT], end_c, end_s)) + pressed * gap
+    blocks = z + swung(tables.steady[CONTACT], c, s) + phases.rest[CONTACT] * gap
+    end = grown @ z + swung(gained, c, s)
+    departed = exchange @ (end + swung(tables.steady[CONTACT], end_c, end_s)) + pressed * gap
     return SingleContact(
         contact_fraction=contact_fraction,
         gap_ratio=gap,
         touch=jnp.arctan2(s, c),
         state=phases.to_state[CONTACT] @ blocks,
-        touch_rate=rows[RATE] @ z + forced(steady_rows[RATE], c, s),
-        departure_rate=rows[RATE] @ end + forced(steady_rows[RATE], end_c, end_s),
+        touch_rate=rows[RATE] @ z + swung(steady_rows[RATE], c, s),
+        departure_rate=rows[RATE] @ end + swung(steady_rows[RATE], end_c, end_s),
         in_contact=z,
-        in_flight=departed - forced(tables.steady[FLIGHT], end_c, end_s),
+        in_flight=departed - swung(tables.steady[FLIGHT], end_c, end_s),
     )
 
 
@@ -295,42 +260,58 @@ def _units(tables: Tables, whole):
     return row, column
 
 
-def gap_ratio_and_slope(
-    tables: Tables, contact_fraction: Float[Array, ""]
-) -> tuple[Float[Array, ""], Float[Array, ""], SingleContact]:
-    """Return the gap ratio, its derivative in the contact fraction, and the motion."""
+def multipliers(tables: Tables, contact_fraction: Scalar) -> Complex[Array, " states"]:
+    """Return the Floquet multipliers: those of the period map just before touch.
 
-    def value(fraction):
-        found = single_contact(tables, fraction)
-        return found.gap_ratio, found
-
-    gap, slope, found = jax.jvp(
-        value, (contact_fraction,), (jnp.ones_like(contact_fraction),), has_aux=True
-    )
-    return gap, slope, found
-
-
-def monodromy(tables: Tables, contact_fraction: Float[Array, ""]) -> Float[Array, "states states"]:
-    """Return the Jacobian of the period map just before touch, in units of energy.
-
-    It depends on the times of contact and flight only, not on the motion.
+    They depend on the times of contact and flight only, not on the motion.
     """
     phases, n = tables.phases, tables.phases.num_blocks
     _, time, flight = durations(tables, contact_fraction)
-    weight = phases.weight
     push = phases.damping[0] * jnp.outer(phases.push_off[:, 0], phases.towards_stop[0])
     matrix = jnp.eye(2 * n)
     for phase, duration, sign in ((CONTACT, time, -1.0), (FLIGHT, flight, 1.0)):
         # Saltation: the damping force jumps where the stop is touched and left.
         matrix = matrix.at[n:].add(sign * push @ matrix[:n])
-        real, imag = growth(phases, phase, duration)
-        matrix = phases.to_state[phase] @ apply_blocks(
-            (real + 1, imag), phases.from_state[phase] @ matrix
-        )
-    return weight[:, None] * matrix / weight
-
-
-def multipliers(tables: Tables, contact_fraction: Float[Array, ""]) -> Complex[Array, " states"]:
-    """Return the Floquet multipliers of the motion."""
-    matrix = monodromy(tables, contact_fraction)
+        moved = jnp.eye(2 * n) + growth(phases, phase, duration)
+        matrix = phases.to_state[phase] @ moved @ phases.from_state[phase] @ matrix
+    matrix = phases.weight[:, None] * matrix / phases.weight
     return jnp.linalg.eigvals(jnp.where(jnp.isfinite(matrix), matrix, 0.0))
+
+
+def laid_out(tables: Tables, found: SingleContact) -> tuple[Tables, Events, PiecewiseMotion]:
+    """Lay the motion out in time from the middle of its flight, with the tables at its own gap."""
+    phases = tables.phases
+    angle, _, _ = durations(tables, found.contact_fraction)
+    half = np.pi - angle / 2
+    section = jnp.mod(found.touch - half, 2 * np.pi)
+    touch, last = section + half, section + 2 * np.pi
+    departure = touch + angle
+    middle = moved_on(tables, FLIGHT, found.in_flight, departure, last - departure)
+    events = Events(jnp.zeros(2, jnp.int32), jnp.zeros((), jnp.int32), section)
+    motion = PiecewiseMotion(
+        end=phases.to_state[FLIGHT] @ (middle + forced(tables, FLIGHT, section)),
+        times=jnp.stack([touch, departure]),
+        phase=jnp.array([FLIGHT, CONTACT, FLIGHT], jnp.int32),
+        blocks=jnp.stack([middle, found.in_contact, found.in_flight], axis=1),
+        start=jnp.stack([section, touch, departure]),
+        stop=jnp.stack([touch, departure, last]),
+        jacobian=None,
+    )
+
+    def by_gap(p):
+        return [p.rest, p.readout_rest, p.change_rest, p.gap]
+
+    own = eqx.tree_at(by_gap, phases, [a * found.gap_ratio for a in by_gap(phases)])
+    return tables._replace(phases=own), events, motion
+
+
+def read_single_contact(tables: Tables, found: SingleContact) -> tuple[Reading, Bool[Array, ""]]:
+    """Read the motion off, per unit of drive amplitude, and say whether it is a real one.
+
+    A virtual motion enters the stop again in its flight, or leaves it during its contact.
+    """
+    own, events, motion = laid_out(tables, found)
+    reading = read_motion(own, events, motion, 1)
+    size = jnp.maximum(jnp.abs(found.gap_ratio), jnp.maximum(reading.highest, -reading.lowest))
+    possible = (found.touch_rate > 0) & (found.departure_rate < 0) & (found.gap_ratio >= 0)
+    return reading, possible & (reading.breach <= BREACH * size)

@@ -6,13 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import Harmonic
 from vibrojax.model.systems import Motion
+from vibrojax.steady.batches import one_or_many, take
 from vibrojax.steady.condensed import cell_average
+from vibrojax.steady.lane_pool import settle
 from vibrojax.steady.paths import AbstractPath, FrequencyPath
-from vibrojax.steady.settling import Settled, settle
-from vibrojax.stepping.method import AbstractMethod, ExactContact, ExponentialSplitting
+from vibrojax.stepping.stepper import AbstractStepper, ExactContact, ExponentialSplitting
 
 lax = jax.lax
 
@@ -21,9 +23,11 @@ SAMPLES = 512
 SETTLED = 1e-4
 """Relative return at which a march is near enough to its limit for Newton's method."""
 MOST_PERIODS = 600
+LANES = 32
+"""Lanes settled side by side, where there are several: other numbers compile nothing anew."""
 
 
-def stepper(exact: bool, tolerance: float = 1e-6) -> AbstractMethod:
+def stepper(exact: bool, tolerance: float = 1e-6) -> AbstractStepper:
     """Return the method that suits the stops."""
     return ExactContact(tolerance) if exact else ExponentialSplitting(max(tolerance, 1e-4))
 
@@ -31,26 +35,29 @@ def stepper(exact: bool, tolerance: float = 1e-6) -> AbstractMethod:
 def settled_motion(
     path: FrequencyPath, value: Float[Array, ""], period: int, exact: bool
 ) -> Float[Array, " states"]:
-    """March one lane from rest until it returns after `period` drive periods, or for long."""
+    """March one lane from rest until it returns after `period` drive periods, or for long.
+
+    A return that is small is enough to start from; how far the limit still is, which `settling`
+    asks, would take up to three times as long.
+    """
     place = path.at(value)
     march = stepper(exact).prepare(place.equations, place.drive)
-    weight = march.energy_weight()
+    weight, frequency = march.energy_weight(), place.angular_frequency
     once = jnp.asarray(1, jnp.int32)
 
     def step(carry):
         history, count, _ = carry
-        state, _, _ = march(history[0] / weight, place.angular_frequency, once, False)
+        state, _, _ = march(history[0] / weight, frequency, once, False)
         history = jnp.concatenate([(state * weight)[None], history[:-1]])
-        gone = jnp.linalg.norm(history[0] - history[period])
-        return history, count + 1, gone / jnp.linalg.norm(history[0])
+        gone = jnp.linalg.norm(history[0] - history[period]) / jnp.linalg.norm(history[0])
+        return history, count + 1, gone
 
     def on(carry):
         _, count, gone = carry
         return (count < MOST_PERIODS) & ((count < 8 + period) | (gone > SETTLED))
 
     start = jnp.zeros((period + 1, weight.shape[0])), 0, jnp.asarray(jnp.inf)
-    history, _, _ = lax.while_loop(on, step, start)
-    return history[0] / weight
+    return lax.while_loop(on, step, start)[0][0] / weight
 
 
 def sampled_motion(
@@ -81,33 +88,16 @@ def sampled_motion(
     return depth.T, change.T, states
 
 
-@eqx.filter_jit
-def settled(
-    paths: AbstractPath,
-    values: Float[AnyArray, " lanes"],
-    state: Float[Array, "states lanes"],
-    exact: bool,
-    max_period: int,
-    max_periods: int = 600,
-) -> Settled:
-    """March every lane at its value of the parameter from its state until it settles."""
-
+@compiled
+def _prepared(paths, values, exact: bool):
     def prepare(path, value):
         place = path.at(value)
         return stepper(exact).prepare(place.equations, place.drive), place.angular_frequency
 
-    march, frequency = eqx.filter_vmap(prepare, out_axes=-1)(paths, values)
-    return settle(
-        march,
-        state,
-        frequency,
-        tolerance=1e-6 if exact else 1e-5,
-        max_period=max_period,
-        max_periods=max_periods,
-    )
+    return eqx.filter_vmap(prepare, out_axes=-1)(paths, values)
 
 
-@eqx.filter_jit
+@compiled
 def sampled_depth(
     paths: AbstractPath,
     values: Float[AnyArray, " lanes"],
@@ -141,19 +131,26 @@ def settled_guess(
 
     Without a `state` (2 coordinates) the motions are marched from rest until they settle.
     """
+    lanes = len(values)
+    index = one_or_many(lanes, LANES)
+    paths, values = take(jax.device_get(paths), index), np.asarray(values)[index]
     if state is None:
-        place = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take_first(paths))
-        rest = jnp.zeros((place.equations.state_size, len(values)))
-        came = settled(paths, values, rest, exact, max(period, 4))
-        found = (np.asarray(came.period) > 0) & (period % np.maximum(came.period, 1) == 0)
-        states = np.asarray(came.state).T
+        place = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take(paths, 0))
+        rest = np.zeros((lanes, place.equations.state_size))
+        march, frequency = _prepared(paths, jnp.asarray(values), exact)
+        came = settle(
+            march,
+            rest,
+            np.asarray(frequency)[:lanes],
+            tolerance=1e-6 if exact else 1e-5,
+            max_period=max(period, 4),
+            max_periods=MOST_PERIODS,
+        )
+        found = (came.period > 0) & (period % np.maximum(came.period, 1) == 0)
+        states = came.state[index]
     else:
         states = np.broadcast_to(state, (len(values), state.size))
-        found = np.ones(len(values), bool)
+        found = np.ones(lanes, bool)
     depth = np.asarray(sampled_depth(paths, values, jnp.asarray(states), samples, period, exact))
+    depth = depth[:lanes]
     return depth, found & np.isfinite(depth).all(axis=(1, 2))
-
-
-def take_first(paths: AbstractPath) -> AbstractPath:
-    """Return the first lane of a stack of paths."""
-    return jax.tree.map(lambda a: a[0] if eqx.is_array(a) else a, paths)

@@ -1,3 +1,3 @@
 """Steps forward in time: exact contact, splitting, linearly implicit."""
 
-from vibrojax.stepping.method import AbstractMethod as AbstractMethod
+from vibrojax.stepping.stepper import AbstractStepper as AbstractStepper

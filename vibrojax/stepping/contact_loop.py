@@ -344,6 +344,7 @@ class ContactLoop:
         (f0, g0), (f1, g1) = force_of(start), force_of(reading)
         peak = jnp.where(touching, cubic_maximum(f0, g0 * duration, f1, g1 * duration), 0.0)
         angle = self.force.start_phase + self.force.angular_frequency * flight.time
+        numbers = self.column(range(k))
         return Segment(
             duration=duration,
             angle=angle,
@@ -353,4 +354,5 @@ class ContactLoop:
             force=jnp.max(peak, axis=0, initial=0.0),
             touches=jnp.any(touching, axis=0),
             entries=jnp.sum(arrived & ~touching, axis=0, dtype=jnp.int32),
+            changed=jnp.sum(jnp.where(arrived, numbers + 1, 0), axis=0, dtype=jnp.int32) - 1,
         )

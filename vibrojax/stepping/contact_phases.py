@@ -11,19 +11,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Complex, Float
+from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 
 from vibrojax._tools.checks import concrete
+from vibrojax._tools.compiled import compiled
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.laws import can_pull, linear_coefficients
 from vibrojax.stepping.resonance import NEAR, is_resonant
+
+Lanes = Float[Array, "*lanes"]
 
 MAX_STOPS = 4
 """More stops than this make too many phases (2 to their number) to tabulate."""
 
 
 @jax.custom_jvp
-def _eigen(matrix: Float[Array, "n n"]) -> tuple[Complex[Array, " n"], Complex[Array, "n n"]]:
+def eigen(matrix: Float[Array, "n n"]) -> tuple[Complex[Array, " n"], Complex[Array, "n n"]]:
     """Eigenvalues and right eigenvectors; pairs with positive imaginary part first, then reals."""
     values, vectors = jnp.linalg.eig(matrix)
     group = jnp.where(values.imag > 0, 0, jnp.where(values.imag == 0, 1, 2))
@@ -31,12 +34,12 @@ def _eigen(matrix: Float[Array, "n n"]) -> tuple[Complex[Array, " n"], Complex[A
     return values[order], vectors[:, order]
 
 
-@_eigen.defjvp
+@eigen.defjvp
 def _eigen_jvp(primals, tangents):
     # JAX has no derivative of non-symmetric eigenvectors. Their length is free, so its change is
     # left out; distinct eigenvalues are assumed, as everywhere in modal analysis.
     (matrix,), (change,) = primals, tangents
-    values, vectors = _eigen(matrix)
+    values, vectors = eigen(matrix)
     rotated = jnp.linalg.solve(vectors, change.astype(vectors.dtype) @ vectors)
     gaps = values[None, :] - values[:, None]
     same = gaps == 0
@@ -124,19 +127,15 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     gap = column([stop.gap for stop in stops])
     # Time in units of the first mode keeps positions and rates of like size in the eigenproblem.
     unit = equations.angular_frequency[0]
-    w, flight_stiffness = equations.angular_frequency / unit, equations.modal_stiffness / unit**2
+    flight = equations.flight_matrix
     places, pushes = equations.stop_map, equations.force_map / unit**2
     scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)])
-    flight_damping = jnp.diag(2 * equations.damping_ratio * w)
-    if equations.damping_coupling is not None:
-        flight_damping = flight_damping + equations.damping_coupling / unit
 
     def one(touching: Float[Array, " stops"]) -> tuple[Array, ...]:
         push = pushes * touching
-        lower_q = -jnp.diag(flight_stiffness) - (push * stiffness) @ places
-        lower_v = -flight_damping - (push * damping * unit) @ places
-        matrix = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [lower_q, lower_v]])
-        values, vectors = _eigen(matrix)
+        held = [(push * stiffness) @ places, (push * damping * unit) @ places]
+        matrix = flight.at[n:].add(-jnp.concatenate(held, axis=1))
+        values, vectors = eigen(matrix)
         complex_pairs = jnp.sum(values.imag > 0)
         index = jnp.arange(n)
         oscillates = index < complex_pairs
@@ -146,12 +145,15 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         right = jnp.where(oscillates, -2 * vectors[:, first].imag, vectors[:, second].real)
         to_state = jnp.concatenate([left, right], axis=1)
         from_state = jnp.linalg.inv(to_state)
-        pull = jnp.concatenate([jnp.zeros(n), push @ (stiffness * gap)])
-        rest = from_state @ jnp.linalg.solve(-matrix, pull)
+        # At rest every block holds the pull of the stops: no second solution of the matrix.
+        pulled = from_state @ jnp.concatenate([jnp.zeros(n), push @ (stiffness * gap)])
+        decay = jnp.stack([values[first].real, values[second].real])
+        turn = jnp.where(oscillates, values[first].imag, 0.0)
+        rest = _at_rest(decay, turn, pulled)
         drive = jnp.concatenate([jnp.zeros(n), equations.input_map / unit])
         return (
-            jnp.stack([values[first].real, values[second].real]) * unit,
-            jnp.where(oscillates, values[first].imag, 0.0) * unit,
+            decay * unit,
+            turn * unit,
             oscillates.astype(dtype),
             scale[:, None] * to_state,
             from_state / scale,
@@ -160,10 +162,9 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         )
 
     sets = [[float(p >> s & 1) for s in range(len(stops))] for p in range(2 ** len(stops))]
-    tables = [one(jnp.asarray(touching, dtype)) for touching in sets]
-    exponent, rate, oscillates, to_state, from_state, rest, drive = (
-        jnp.stack(column) for column in zip(*tables, strict=True)
-    )
+    # As one batch: several of LAPACK's, side by side on few threads, may wait for each other.
+    tables = jax.vmap(one)(jnp.asarray(sets, dtype).reshape(len(sets), len(stops)))
+    exponent, rate, oscillates, to_state, from_state, rest, drive = tables
     zero = jnp.zeros_like(places)
     tip, none = equations.response_map[None], jnp.zeros((1, n), dtype)
     plain = jnp.block([[places, zero], [zero, places], [tip, none], [none, tip]])
@@ -212,10 +213,22 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     )
 
 
+def _at_rest(
+    decay: Float[Array, "2 blocks"], turn: Float[Array, " blocks"], pulled: Float[Array, " states"]
+) -> Float[Array, " states"]:
+    """Block coordinates at which the blocks, [[a, -b], [b, a]] or diag(a1, a2), undo a pull."""
+    top, bottom = jnp.split(pulled, 2)
+    determinant = decay[0] * decay[1] + turn**2
+    first, second = decay[1] * top + turn * bottom, decay[0] * bottom - turn * top
+    return -jnp.concatenate([first / determinant, second / determinant])
+
+
+phases_of = compiled(contact_phases)
+"""The same, as a program of its own."""
+
+
 def forced_blocks(
-    phases: ContactPhases,
-    amplitude: Complex[Array, "*lanes"],
-    angular_frequency: Float[Array, "*lanes"],
+    phases: ContactPhases, amplitude: Complex[Array, "*lanes"], angular_frequency: Lanes
 ) -> Complex[Array, "phases states *lanes"]:
     """Block coordinates Z of the steady response to the input Im(amplitude exp(i phase)).
 
@@ -231,9 +244,7 @@ def forced_blocks(
 
 
 def resonant_blocks(
-    phases: ContactPhases,
-    amplitude: Complex[Array, "*lanes"],
-    angular_frequency: Float[Array, "*lanes"],
+    phases: ContactPhases, amplitude: Complex[Array, "*lanes"], angular_frequency: Lanes
 ) -> Complex[Array, "phases states *lanes"]:
     """Input of the block coordinates that is to be integrated (`resonance`); 0 for most blocks."""
     top, bottom, along, across, rate = _driven(phases, angular_frequency)
@@ -246,14 +257,20 @@ def can_resonate(phases: ContactPhases | None) -> bool:
     """Whether a block of these phases has next to no damping, as far as is known while tracing."""
     if phases is None:
         return False
-    exponent, rate = concrete(phases.exponent), concrete(phases.rate)
-    if exponent is None or rate is None:
+    if concrete(phases.exponent) is None or concrete(phases.rate) is None:
         return True
-    return bool(np.any((rate > 0) & (np.abs(exponent[..., 0, :]) < 2 * NEAR * rate)))
+    return bool(np.any(may_resonate(phases)))
+
+
+def may_resonate(phases: ContactPhases) -> Bool[np.ndarray, "*lanes"]:
+    """Whether a block of a lane's phases has next to no damping; concrete, the lanes leading."""
+    exponent, rate = np.asarray(phases.exponent), np.asarray(phases.rate)
+    damped = np.abs(exponent[..., 0, :]) >= 2 * NEAR * rate
+    return np.asarray(np.any((rate > 0) & ~damped, axis=(-2, -1)))
 
 
 def _driven(
-    phases: ContactPhases, angular_frequency: Float[Array, "*lanes"]
+    phases: ContactPhases, angular_frequency: Lanes
 ) -> tuple[
     Float[Array, "phases blocks *#lanes"],
     Float[Array, "phases blocks *#lanes"],
@@ -280,7 +297,7 @@ def spread(table: Array, rank: int, lanes: int) -> Array:
     return table.reshape(table.shape + (1,) * lanes)
 
 
-def contact_rates(phases: ContactPhases) -> Float[Array, "*lanes"]:
+def contact_rates(phases: ContactPhases) -> Lanes:
     """Lowest angular frequency with all stops in contact, rad/s: sets how finely to look."""
     rates = phases.rate[-1]
     lowest = jnp.min(jnp.where(rates > 0, rates, np.inf), axis=0)

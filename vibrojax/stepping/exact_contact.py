@@ -24,7 +24,7 @@ from vibrojax.stepping.contact_loop import ContactLoop, Flight, pick
 from vibrojax.stepping.contact_phases import ContactPhases, spread
 from vibrojax.stepping.elementary import apply_matrix
 from vibrojax.stepping.forcing import Forcing, forcing, longest_step
-from vibrojax.stepping.measures import Measures, no_measures
+from vibrojax.stepping.measures import Measures, no_events, no_measures
 from vibrojax.stepping.replay import replayed_while
 
 lax = jax.lax
@@ -158,7 +158,7 @@ def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
     blocks = blocks.reshape(2, loop.n, *blocks.shape[1:])
     reading = loop.read(blocks, phase, wave[0], wave[1])
     count = jnp.zeros(zero.shape, jnp.int32)
-    measures = no_measures(zero) if loop.observe else None
+    measures = no_measures(zero)._replace(events=no_events(phase)) if loop.observe else None
     return Flight(blocks, phase, zero, zero, reading, count, count, measures)
 
 

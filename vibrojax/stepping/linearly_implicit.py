@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from vibrojax._tools.checks import check_count, check_positive, concrete
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import AbstractEquations, touching_stops
@@ -21,7 +22,7 @@ from vibrojax.stepping.linearly_implicit_step import (
     take_step,
 )
 from vibrojax.stepping.measures import Measures, Segment, no_measures
-from vibrojax.stepping.method import AbstractMarch, AbstractMethod, check_settings
+from vibrojax.stepping.stepper import AbstractMarch, AbstractStepper, check_settings
 
 lax = jax.lax
 
@@ -32,7 +33,7 @@ RINGING = 100.0
 
 
 @validated
-class LinearlyImplicit(AbstractMethod):
+class LinearlyImplicit(AbstractStepper):
     """Stiffness and damping implicit, mass at the middle of the step, contact in closed form.
 
     For every system: one linear solve a step, by refining the constant matrix of the position of
@@ -154,7 +155,7 @@ def fastest_damping(equations: AbstractEquations) -> Float[Array, ""]:
     return lax.stop_gradient(jnp.max(jnp.linalg.eigvalsh((whole + whole.T) / 2)))
 
 
-_fastest_damping = eqx.filter_jit(fastest_damping)
+_fastest_damping = compiled(fastest_damping)
 
 
 def chosen_steps(period: Any, fastest: Any, tolerance: Any, xp: Any = jnp) -> Any:

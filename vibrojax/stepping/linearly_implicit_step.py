@@ -7,8 +7,6 @@ that of a backward Euler step over the rest of the step, in closed form for a li
 stays well behaved where a contact is a hundred times faster than the step.
 """
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -95,32 +93,22 @@ def take_step(
     free_rate = rate + gain
     free = q + step / 2 * (rate + free_rate)
     if equations.stops:
-        flight = _Flight(q, rate, middle, free, free_rate)
-        change, rate_change = _contact(equations, table, flight, step, refinements)
+        flight = (q, rate), middle, (free, free_rate)
+        change, rate_change = _contact(equations, table, *flight, step, refinements)
         free, free_rate = free + change, free_rate + rate_change
     return jnp.where(lost, jnp.nan, jnp.concatenate([free, free_rate]))
 
 
-class _Flight(NamedTuple):
-    """A step without contact forces: its start, its middle and its end."""
-
-    q: Array
-    rate: Array
-    middle: Array
-    free: Array
-    free_rate: Array
-
-
-def _contact(equations, table, flight, step, refinements):
-    """What the stops change of displacements and rates over a step."""
-    before = equations.penetration(flight.q)
-    after, pull_back = jax.vjp(equations.penetration, flight.free)
+def _contact(equations, table, start, middle, end, step, refinements):
+    """What the stops change of displacements and rates over a step, from (q, q') without them."""
+    before = equations.penetration(start[0])
+    after, pull_back = jax.vjp(equations.penetration, end[0])
     count = len(equations.stops)
     towards = [pull_back(jnp.zeros(count).at[s].set(1.0))[0] for s in range(count)]
     mobility = []
     for own in towards:
         first = table.inverse @ own
-        moved, _ = _refined(equations, table, flight.middle, first, first, refinements - 1)
+        moved, _ = _refined(equations, table, middle, first, first, refinements - 1)
         mobility.append(moved)
     towards, mobility = jnp.stack(towards), jnp.stack(mobility)
     # From the touch on, the share of the step that is left, and the speed of the touch.
@@ -128,10 +116,10 @@ def _contact(equations, table, flight, step, refinements):
     gone = jnp.where(outside, after - before, 1.0)
     share = jnp.where(outside, jnp.where(after > 0, after / gone, 0.0), 1.0)
     time, held = step * share, jnp.maximum(before, 0.0)
-    end, change = towards @ flight.free_rate, towards @ (flight.rate - flight.free_rate)
+    last, change = towards @ end[1], towards @ (start[1] - end[1])
     reach = towards @ mobility.T * time
     # The impact first, which stops the approach at once; then what presses on over the rest.
-    speed = end + share * change
+    speed = last + share * change
     sudden, shift = _impact(equations.stops, held, speed, time, reach)
     eased = after - shift + reach @ sudden / 2
     impulse = contact_impulses(equations.stops, held, eased, time, reach / 2)

@@ -7,6 +7,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax.stepping.cubic import cubic_maximum
 
+MOST_EVENTS = 16
+"""Touches and departures of a motion that are noted: room for eight contacts."""
+
 
 class Segment(NamedTuple):
     """One accepted step, on which the response is a cubic: (start, end) of values and rates."""
@@ -22,6 +25,41 @@ class Segment(NamedTuple):
     touches: Bool[Array, "*lanes"]
     entries: Int[Array, "*lanes"]
     """How many stops were touched at the end of the step."""
+    changed: Int[Array, "*lanes"] | None = None
+    """Stop that changed its contact at the end, -1 where none did; None where nobody notes it."""
+
+
+class EventLog(NamedTuple):
+    """Which stops changed contact, in order of time."""
+
+    first_phase: Int[Array, "*lanes"]
+    """Set of touching stops at the beginning."""
+    stop: Int[Array, "events *lanes"]
+    """-1 where there is no event."""
+    angle: Float[Array, "events *lanes"]
+    """Drive phase, rad."""
+    number: Int[Array, "*lanes"]
+    """Of events; more than there is room for when above the length."""
+
+    def add(
+        self, stop: Int[Array, "*lanes"], angle: Float[Array, "*lanes"], kept: Bool[Array, "*lanes"]
+    ) -> "EventLog":
+        """Note an event where a stop changed its contact in a step that was kept."""
+        happened = kept & (stop >= 0)
+        place = jnp.arange(MOST_EVENTS).reshape((-1,) + (1,) * stop.ndim)
+        here = happened & (place == self.number)
+        return self._replace(
+            stop=jnp.where(here, stop, self.stop),
+            angle=jnp.where(here, angle, self.angle),
+            number=self.number + happened,
+        )
+
+
+def no_events(first_phase: Int[Array, "*lanes"]) -> EventLog:
+    """Begin a log."""
+    room = (MOST_EVENTS, *first_phase.shape)
+    zero = jnp.zeros(room)
+    return EventLog(first_phase, jnp.full(room, -1, jnp.int32), zero, jnp.zeros_like(first_phase))
 
 
 class Measures(NamedTuple):
@@ -36,6 +74,8 @@ class Measures(NamedTuple):
     force: Float[Array, "*lanes"]
     contact_time: Float[Array, "*lanes"]
     contacts: Int[Array, "*lanes"]
+    events: EventLog | None = None
+    """Of steppers that land on every change of contact."""
 
     def add(self, part: Segment, kept: Bool[Array, "*lanes"]) -> "Measures":
         """Add a step where it was kept.
@@ -60,6 +100,9 @@ class Measures(NamedTuple):
         def plus(total, value):
             return total + jnp.where(kept, value, 0)
 
+        events = self.events
+        if events is not None and part.changed is not None:
+            events = events.add(part.changed, end, kept)
         return Measures(
             time=plus(self.time, h),
             highest=jnp.where(kept, jnp.maximum(self.highest, high), self.highest),
@@ -70,6 +113,7 @@ class Measures(NamedTuple):
             force=jnp.where(kept, jnp.maximum(self.force, part.force), self.force),
             contact_time=plus(self.contact_time, jnp.where(part.touches, h, 0.0)),
             contacts=plus(self.contacts, part.entries),
+            events=events,
         )
 
 

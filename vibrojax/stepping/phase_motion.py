@@ -11,6 +11,9 @@ from vibrojax._tools.types import AnyArray
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
 from vibrojax.stepping.resonance import driven_growth
 
+Stops = Float[Array, "*#stops"]
+EveryStop = Float[Array, "*stops"]
+
 PerLane = Float[Array, " lanes"]
 OfStops = Float[Array, "stops *where"]
 Phase = Int[Array, ""]
@@ -56,11 +59,11 @@ def stop_push(
     stiffness: Float[AnyArray, "*#stops"],
     damping: Float[AnyArray, "*#stops"],
     can_pull: Bool[AnyArray, "*#stops"],
-    angular_frequency: Float[Array, "*#stops"],
-    depth: Float[Array, "*#stops"],
-    rate: Float[Array, "*#stops"],
-    acceleration: Float[Array, "*#stops"],
-) -> tuple[Float[Array, "*stops"], Float[Array, "*stops"]]:
+    angular_frequency: Stops,
+    depth: Stops,
+    rate: Stops,
+    acceleration: Stops,
+) -> tuple[EveryStop, EveryStop]:
     """Force of stops as a depth, m, and its rate; the depth itself where a stop may pull."""
     unit = stiffness + damping * angular_frequency
     pushes = (unit > 0) & ~can_pull
@@ -71,11 +74,8 @@ def stop_push(
 
 
 def contact_indicator(
-    depth: Float[Array, "*#stops"],
-    rate: Float[Array, "*#stops"],
-    push: Float[Array, "*#stops"],
-    push_rate: Float[Array, "*#stops"],
-) -> tuple[Float[Array, "*stops"], Float[Array, "*stops"]]:
+    depth: Stops, rate: Stops, push: Stops, push_rate: Stops
+) -> tuple[EveryStop, EveryStop]:
     """Smaller one of depth and push (positive in contact), m, and its rate, m/s."""
     by_depth = depth <= push
     return jnp.where(by_depth, depth, push), jnp.where(by_depth, rate, push_rate)
@@ -110,10 +110,7 @@ def begin_phase(
 
 
 def follow(
-    phases: ContactPhases,
-    phase: Phase,
-    motion: PhaseMotion,
-    time: Float[Array, "lanes *places"],
+    phases: ContactPhases, phase: Phase, motion: PhaseMotion, time: Float[Array, "lanes *places"]
 ) -> tuple[Float[Array, "states lanes *places"], ...]:
     """Block coordinates and their first two derivatives, some time (s) into it."""
     places = time.ndim - 1

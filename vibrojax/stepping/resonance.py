@@ -18,7 +18,7 @@ from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 from vibrojax._tools.trigonometry import cosine
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.equations import AbstractEquations, LinearEquations, contact_slope
+from vibrojax.model.equations import AbstractEquations, contact_slope
 from vibrojax.model.stops import Stop
 
 NEAR = 1e-4
@@ -78,10 +78,11 @@ def unbounded_at(
     nothing for systems that are not linear.
     """
     resonances = undamped_at(equations, drive)
-    if not isinstance(equations, LinearEquations):
+    linear = equations.linear_between_contacts
+    if linear is None:
         return resonances
-    for s, stop in enumerate(equations.stops):
-        reach = jnp.abs(equations.stop_map[s])
+    for s, stop in enumerate(linear.stops):
+        reach = jnp.abs(linear.stop_map[s])
         held = _pushes(stop) & (reach > NOT_AT_ALL * jnp.max(reach))
         resonances = jnp.where(held, jnp.nan, resonances)
     return resonances
@@ -93,15 +94,16 @@ def undamped_at(equations: AbstractEquations, drive: AbstractDrive) -> Float[Arr
     Those of the modes without damping that are driven; NaN for others, nothing for systems that
     are not linear.
     """
-    if not isinstance(equations, LinearEquations):
+    linear = equations.linear_between_contacts
+    if linear is None:
         return jnp.zeros(0)
-    w = equations.angular_frequency
-    free = jnp.abs(equations.damping_ratio) <= SAME
-    if equations.damping_coupling is not None:
-        free &= jnp.max(jnp.abs(equations.damping_coupling), axis=1) <= SAME * w
-    if equations.stiffness_sign is not None:
-        free &= equations.stiffness_sign > 0
-    moved = jnp.abs(equations.input_map)
+    w = linear.angular_frequency
+    free = jnp.abs(linear.damping_ratio) <= SAME
+    if linear.damping_coupling is not None:
+        free &= jnp.max(jnp.abs(linear.damping_coupling), axis=1) <= SAME * w
+    if linear.stiffness_sign is not None:
+        free &= linear.stiffness_sign > 0
+    moved = jnp.abs(linear.input_map)
     amplitude = jnp.abs(jnp.stack([drive.complex_amplitude(x, jnp.zeros_like(x)) for x in w]))
     free &= (moved > NOT_AT_ALL * jnp.max(moved)) & (amplitude > 0)
     return jnp.where(free, w, jnp.nan)

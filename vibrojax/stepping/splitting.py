@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
+from vibrojax._tools.compiled import compiled
 from vibrojax._tools.trigonometry import cosine, sine
 from vibrojax.model.equations import (
     LinearEquations,
@@ -32,29 +33,29 @@ from vibrojax.stepping.elementary import computed_once, where_needed
 from vibrojax.stepping.measures import Measures, Segment, no_measures
 from vibrojax.stepping.resonance import driven_growth, is_resonant
 
+Modes = Float[Array, "modes *#lanes"]
+Lanes = Float[Array, "*#lanes"]
+PerStop = Float[Array, "stops *#lanes"]
+Memories = Float[Array, "memories *#lanes"]
+Scalar = Float[Array, ""]
+
 lax = jax.lax
 
 
 class Drift(NamedTuple):
     """Exact flow of every mode over a time: (q, q') to (qq q + qv q', vq q + vv q')."""
 
-    qq: Float[Array, "modes *#lanes"]
-    qv: Float[Array, "modes *#lanes"]
-    vq: Float[Array, "modes *#lanes"]
-    vv: Float[Array, "modes *#lanes"]
+    qq: Modes
+    qv: Modes
+    vq: Modes
+    vv: Modes
 
-    def __call__(
-        self, q: Float[Array, "modes *#lanes"], v: Float[Array, "modes *#lanes"]
-    ) -> tuple[Float[Array, "modes *#lanes"], Float[Array, "modes *#lanes"]]:
+    def __call__(self, q: Modes, v: Modes) -> tuple[Modes, Modes]:
         """Advance displacements and velocities."""
         return self.qq * q + self.qv * v, self.vq * q + self.vv * v
 
 
-def drift(
-    angular_frequency: Float[Array, "modes *#lanes"],
-    damping_ratio: Float[Array, "modes *#lanes"],
-    time: Float[Array, "*#lanes"],
-) -> Drift:
+def drift(angular_frequency: Modes, damping_ratio: Modes, time: Lanes) -> Drift:
     """Compute the flow of q'' + 2 zeta w q' + w^2 q = 0 over `time`, any damping ratio."""
     w, zeta = angular_frequency, damping_ratio
     under, over = zeta < 1, zeta > 1
@@ -80,9 +81,7 @@ def check_uncoupled(equations: LinearEquations) -> None:
 
 
 def steady(
-    equations: LinearEquations,
-    amplitude: Complex[Array, "*#lanes"],
-    angular_frequency: Float[Array, "*#lanes"],
+    equations: LinearEquations, amplitude: Complex[Array, "*#lanes"], angular_frequency: Lanes
 ) -> tuple[Complex[Array, "states *#lanes"], Complex[Array, "modes *#lanes"]]:
     """Complex amplitude of the state in the steady response without stops.
 
@@ -104,8 +103,8 @@ def steady(
 def driven_drift(
     equations: LinearEquations,
     driven: Complex[Array, "modes *#lanes"],
-    angular_frequency: Float[Array, "*#lanes"],
-    time: Float[Array, "*#lanes"],
+    angular_frequency: Lanes,
+    time: Lanes,
 ) -> Complex[Array, "2 modes *#lanes"]:
     """Complex amplitudes of what modes in resonance gain in q and q' over a time.
 
@@ -130,8 +129,8 @@ def driven_drift(
 def driven_flow(
     equations: LinearEquations,
     driven: Complex[Array, " modes"],
-    angular_frequency: Float[Array, ""],
-    time: Float[Array, ""],
+    angular_frequency: Scalar,
+    time: Scalar,
 ) -> Callable[..., Float[Array, "2 modes"]]:
     """Return the flow of (q, q') of one lane over a time, from a drive phase.
 
@@ -153,7 +152,7 @@ class Contact(NamedTuple):
     towards: Float[Array, "stops modes *#lanes"]
     push: Float[Array, "modes stops *#lanes"]
     mobility: Float[Array, "stops stops *#lanes"]
-    gap: Float[Array, "stops *#lanes"]
+    gap: PerStop
 
 
 def contact_of(equations: LinearEquations, lanes: int) -> Contact:
@@ -175,11 +174,8 @@ def _apply(matrix, vector):
 
 
 def forces(
-    contact: Contact,
-    depth: Float[Array, "stops *#lanes"],
-    rate: Float[Array, "stops *#lanes"],
-    memory: Float[Array, "memories *#lanes"],
-) -> tuple[Float[Array, "stops *#lanes"], ...]:
+    contact: Contact, depth: PerStop, rate: PerStop, memory: Memories
+) -> tuple[PerStop, ...]:
     """Return the force of each stop, its slope in depth and its slope in rate."""
 
     def all_stops(depth, rate):
@@ -192,12 +188,8 @@ def forces(
 
 
 def kick(
-    contact: Contact,
-    depth: Float[Array, "stops *#lanes"],
-    rate: Float[Array, "stops *#lanes"],
-    memory: Float[Array, "memories *#lanes"],
-    step: Float[Array, "*#lanes"],
-) -> tuple[Float[Array, "stops *#lanes"], Float[Array, "memories *#lanes"]]:
+    contact: Contact, depth: PerStop, rate: PerStop, memory: Memories, step: Lanes
+) -> tuple[PerStop, Memories]:
     """Impulse of each stop in a step, and the memories after it.
 
     Rate and memories are taken in the middle of the kick. For a linear dashpot, and for a memory
@@ -230,7 +222,7 @@ def _middle_memory(stops, depth, rate, memory, step):
     return memory + step / 2 * speed / (1 - step / 2 * slope)
 
 
-def contact_rate(equations: LinearEquations) -> Float[Array, "*#lanes"]:
+def contact_rate(equations: LinearEquations) -> Lanes:
     """Angular frequency of the contact points on their stops, rad/s: sets the step."""
     rates = [jnp.zeros_like(equations.angular_frequency[0])]
     for i, stop in enumerate(equations.stops):
@@ -240,9 +232,7 @@ def contact_rate(equations: LinearEquations) -> Float[Array, "*#lanes"]:
 
 
 def steps_for(
-    equations: LinearEquations,
-    angular_frequency: Float[Array, "*#lanes"],
-    tolerance: Float[Array, "*#lanes"],
+    equations: LinearEquations, angular_frequency: Lanes, tolerance: Lanes
 ) -> Int[Array, ""]:
     """Steps per drive period for an error near the tolerance (measured: see benchmarks)."""
     rate = jnp.maximum(contact_rate(equations), equations.angular_frequency[0])
@@ -251,18 +241,19 @@ def steps_for(
     return jnp.ceil(jnp.maximum(longest, 64.0)).astype(jnp.int32)
 
 
+steps_of = compiled(steps_for)
+"""The same, as a program of its own."""
+
+
 def step_from(
-    motion: Motion,
-    state: Float[Array, " states"],
-    start: Float[Array, ""],
-    duration: Float[Array, ""],
+    motion: Motion, state: Float[Array, " states"], start: Scalar, duration: Scalar
 ) -> Float[Array, " states"]:
     """Take one step of one lane from a time (s), for any waveform.
 
     Harmonic drives are exact; of a chirp the step takes the frequency and amplitude of its middle.
     """
-    equations = motion.equations
-    if not isinstance(equations, LinearEquations):
+    equations = motion.equations.linear_between_contacts
+    if equations is None:
         raise ValueError("ExponentialSplitting needs a system that is linear but for its stops.")
     phase, _, _ = motion.waveform.phase(start)
     phase_end, _, _ = motion.waveform.phase(start + duration)
@@ -288,18 +279,10 @@ def step_from(
     return jnp.concatenate([q, v, memory]) + at(phase_end)
 
 
-class _Carry(NamedTuple):
-    q: Array
-    v: Array
-    memory: Array
-    wave: Array
-    measures: Measures | None
-
-
 def march(
     equations: LinearEquations,
     amplitude: Complex[Array, "*#lanes"],
-    angular_frequency: Float[Array, "*#lanes"],
+    angular_frequency: Lanes,
     state: Float[Array, "states *#lanes"],
     periods: Int[Array, "*#lanes"],
     steps: Int[Array, ""],
@@ -376,7 +359,7 @@ def march(
             angle = (i + 0.5) * turn
             part = Segment(h, angle, angular_frequency, (y0, y1), (s0, s1), force, touches, entered)
             measures = measures.add(part, live)
-        return _Carry(q1, v1, memory1, wave1, measures)
+        return q1, v1, memory1, wave1, measures
 
     def period(carry):
         x, done, measures = carry
@@ -385,12 +368,12 @@ def march(
         q, v, memory = equations.split(x - real(forced, (zero, unit)))
         q, v = pushed(half(q, v), gained_half, (zero, unit))
         start = jnp.stack([jnp.sin(turn / 2), jnp.cos(turn / 2)])
-        begin = _Carry(q, v, memory, start, measures)
-        end = lax.fori_loop(0, steps, lambda i, c: one(i, c, live), begin)
+        begin = q, v, memory, start, measures
+        q, v, memory, _, measures = lax.fori_loop(0, steps, lambda i, c: one(i, c, live), begin)
         # Half a step back: what the drive gave in it is taken off first.
-        q, v = pushed((end.q, end.v), -gained_half, (zero, unit))
-        x1 = jnp.concatenate([*back(q, v), end.memory]) + real(forced, (zero, unit))
-        return jnp.where(live, x1, x), done + live, end.measures
+        q, v = pushed((q, v), -gained_half, (zero, unit))
+        x1 = jnp.concatenate([*back(q, v), memory]) + real(forced, (zero, unit))
+        return jnp.where(live, x1, x), done + live, measures
 
     zero = jnp.zeros(angular_frequency.shape, jnp.int32)
     first = no_measures(jnp.zeros_like(angular_frequency)) if observe else None

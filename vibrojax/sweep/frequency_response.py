@@ -1,6 +1,5 @@
 """The result of a frequency sweep: curves in both directions, their jumps, and where they go."""
 
-import os
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -10,7 +9,7 @@ from jaxtyping import Float, Int
 from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.results.axes import coordinates_of, view_of
-from vibrojax.results.saving import save_dataset
+from vibrojax.results.saving import AbstractSaved
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES, described_as
 
@@ -32,6 +31,14 @@ CURVES = (
     "periods_marched",
     "steps",
 )
+MEASURES = (
+    "jump_up",
+    "jump_down",
+    "natural_frequency",
+    "peak_amplitude_ratio",
+    "peak_frequency",
+    "resonance_shift",
+)
 
 
 def _highest(values: Array) -> Any:
@@ -40,7 +47,7 @@ def _highest(values: Array) -> Any:
     return np.where(np.isneginf(highest), np.nan, highest)[()]
 
 
-class FrequencyResponse(eqx.Module):
+class FrequencyResponse(AbstractSaved):
     """Steady responses on a frequency axis, with the state carried along each direction.
 
     Curves have the shape (axes of the call..., directions, frequencies), frequencies ascending in
@@ -159,39 +166,26 @@ class FrequencyResponse(eqx.Module):
         import xarray
 
         outer = tuple(self.axes)
-        dims = (*outer, "direction", self.axis)
         axis_units = VARIABLES[self.axis].units
 
-        def described(name: str) -> dict[str, Any]:
-            return described_as(name, self.ratio_units, axis_units)
+        def described(name: str, dims: tuple[str, ...], values: Any) -> tuple[Any, ...]:
+            return dims, np.asarray(values), described_as(name, self.ratio_units, axis_units)
 
         data: dict[str, Any] = {
-            name: (dims, np.asarray(getattr(self, name)), described(name)) for name in self.curves
+            name: described(name, dims, getattr(self, name))
+            for names, dims in (
+                (self.curves, (*outer, "direction", self.axis)),
+                (MEASURES, outer),
+            )
+            for name in names
         }
         data["status"][2]["flag_values"] = [s.value for s in Status]
         data["status"][2]["flag_meanings"] = " ".join(s.name for s in Status)
-        for name in ("jump_up", "jump_down", "natural_frequency"):
-            data[name] = (outer, np.asarray(getattr(self, name)), described(name))
-        for name in ("peak_amplitude_ratio", "peak_frequency", "resonance_shift"):
-            units_of = {"peak_amplitude_ratio": self.ratio_units, "peak_frequency": axis_units}
-            label = name.replace("_", " ").capitalize()
-            labelled = {"units": units_of.get(name, "1"), "long_name": label}
-            data[name] = (outer, np.asarray(getattr(self, name)), labelled)
         coordinates: dict[str, Any] = coordinates_of(self.axes)
         directions = described_as("direction")
         coordinates["direction"] = ("direction", list(self.directions), directions)
-        frequencies = np.asarray(self.frequencies)
-        coordinates[self.axis] = (self.axis, frequencies, described(self.axis))
+        coordinates[self.axis] = described(self.axis, (self.axis,), self.frequencies)
         return xarray.Dataset(data, coordinates, attrs=dict(self.attributes))
-
-    @validated
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the dataset to a NetCDF file, whole or not at all.
-
-        `path` is that of the file, such as `curve.nc`; what is there is replaced. Raises
-        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
-        """
-        save_dataset(self.to_xarray(), path)
 
     @validated
     def plot(self, variable: str = "amplitude_ratio", **selection: Any) -> "Figure":

@@ -44,29 +44,21 @@ class Jumps:
         return first(self.exists & self.rises), first(self.exists & ~self.rises)
 
 
-def find_jumps(amplitude: np.ndarray, status: np.ndarray, directions: tuple[str, ...]) -> Jumps:
+def find_jumps(amplitude: np.ndarray, directions: tuple[str, ...]) -> Jumps:
     """Find the jump of each direction in amplitudes of shape (..., directions, frequencies).
 
     A jump leaves a branch that the other direction is not on and lands where the other direction
     is: the largest such change. With one direction alone, the largest change that is out of all
     proportion to its neighbours.
     """
-    n = amplitude.shape[-1]
-    before = np.full(amplitude.shape[:-1], -1)
-    after = np.full(amplitude.shape[:-1], -1)
-    rises = np.zeros(amplitude.shape[:-1], bool)
-    for lane in np.ndindex(*amplitude.shape[:-1]):
+    *lanes, n = amplitude.shape
+    before, after, rises = np.full(lanes, -1), np.full(lanes, -1), np.zeros(lanes, bool)
+    for lane in np.ndindex(*lanes):
         *outer, k = lane
         own = amplitude[lane]
-        backward = directions[k] == "backward"
-        ahead, behind = (
-            (np.arange(1, n), np.arange(n - 1))
-            if backward
-            else (
-                np.arange(n - 1),
-                np.arange(1, n),
-            )
-        )
+        ahead, behind = np.arange(n - 1), np.arange(1, n)
+        if directions[k] == "backward":
+            ahead, behind = behind, ahead
         change = own[behind] - own[ahead]
         size = np.abs(change)
         if len(directions) == 2:

@@ -9,15 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from vibrojax._tools.compiled import compiled
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
+from vibrojax.steady import pool_programs
+from vibrojax.steady.lane_pool import LanePool, Onwards, Settled
 from vibrojax.stepping.measures import Measures
-from vibrojax.stepping.method import AbstractMarch, AbstractMethod, with_traced_numbers
 from vibrojax.stepping.resonance import is_unbounded, unbounded_at
+from vibrojax.stepping.stepper import AbstractMarch, AbstractStepper, with_traced_numbers
 from vibrojax.sweep.jumps import Jumps, find_jumps
-from vibrojax.sweep.lane_pool import Arrived, LanePool, Onwards
 
 EXTENSIONS = 4
 """Grid steps that a jump is followed beyond the one in which the sweep left its branch."""
@@ -30,11 +32,12 @@ class SweepPlan(NamedTuple):
     """`frequency_ratio` or `frequency` (Hz)."""
     grid: Float[np.ndarray, " frequencies"]
     directions: tuple[str, ...]
-    method: AbstractMethod
+    stepper: AbstractStepper
     tolerance: float
     max_period: int
     max_periods: int
     refine_jumps: float | None
+    settle: str
 
 
 class Rigs(eqx.Module):
@@ -56,18 +59,18 @@ class Prepared(eqx.Module):
     """Drive frequencies at which the motion grows without bound, rad/s; NaN for other modes."""
 
 
-@eqx.filter_jit
+@compiled(lightly=True)
 def rigs_of(systems: AbstractSystem) -> Rigs:
     """Compute the equations of systems that are stacked along a leading axis."""
     return eqx.filter_vmap(lambda system: Rigs(system.equations(), system.drive))(systems)
 
 
-@eqx.filter_jit
-def _prepare(method: AbstractMethod, rigs: Rigs) -> Prepared:
+@compiled(lightly=True)
+def _prepare(stepper: AbstractStepper, rigs: Rigs) -> Prepared:
     def one(rig: Rigs) -> Prepared:
         reference, _ = rig.drive.reference
         first = _first_frequency(rig.equations)
-        march = method.prepare(rig.equations, rig.drive)
+        march = stepper.prepare(rig.equations, rig.drive)
         resonances = unbounded_at(rig.equations, rig.drive)
         return Prepared(march, first, jnp.asarray(reference), resonances)
 
@@ -80,9 +83,9 @@ def _first_frequency(equations: AbstractEquations) -> Array:
     return jnp.asarray(jnp.nan)
 
 
-def prepare(method: AbstractMethod, rigs: Rigs) -> Prepared:
+def prepare(stepper: AbstractStepper, rigs: Rigs) -> Prepared:
     """Make rigs ready to be marched."""
-    numbers = with_traced_numbers(method)
+    numbers = with_traced_numbers(stepper)
     return _prepare(numbers, rigs)
 
 
@@ -112,7 +115,7 @@ def ratios_of(m: Measures, window: Any, reference: Any, xp: ModuleType = np) -> 
     }
 
 
-def _variables(arrived: Arrived, reference: Float[np.ndarray, " lanes"]) -> dict[str, np.ndarray]:
+def _variables(arrived: Settled, reference: Float[np.ndarray, " lanes"]) -> dict[str, np.ndarray]:
     """Return the variables of some lanes."""
     values = ratios_of(arrived.measures, arrived.window, reference)
     lost = np.isin(arrived.status, (Status.diverged.value, Status.unbounded.value))
@@ -145,7 +148,7 @@ class _Grid:
         """Angular frequency of some lanes, rad/s."""
         return self.grid[self.column(lanes)] * self.unit[lanes]
 
-    def onwards(self, arrived: Arrived) -> Onwards:
+    def onwards(self, arrived: Settled) -> Onwards:
         """Store the steady states of some lanes and send them to the next point of the grid."""
         k = arrived.lanes
         at = self.column(k)
@@ -155,7 +158,8 @@ class _Grid:
             self.curves[name][k, at] = values
         self.states[k, at] = arrived.state
         self.visited[k] += 1
-        return Onwards(self.visited[k] < len(self.grid), self.frequency(k), arrived.state)
+        going = np.ones(len(k), bool)
+        return Onwards(self.visited[k] < len(self.grid), self.frequency(k), arrived.state, going)
 
 
 class _Bisection:
@@ -174,7 +178,7 @@ class _Bisection:
         """Angular frequency of the middle of the bracket, rad/s."""
         return (self.low + self.high)[lanes] / 2 * self.unit[lanes]
 
-    def onwards(self, arrived: Arrived) -> Onwards:
+    def onwards(self, arrived: Settled) -> Onwards:
         """Keep the half that holds the jump."""
         k = arrived.lanes
         found = _variables(arrived, self.reference[k])
@@ -194,7 +198,14 @@ class _Bisection:
         self.high[k] = np.where(further, self.low[k] + self.span[k], self.high[k])
         self.extended[k] += further
         self.tried[k] = np.where(further, 0, self.tried[k])
-        return Onwards(~through | further, self.frequency(k), self.state[k])
+        return Onwards(~through | further, self.frequency(k), self.state[k], same)
+
+
+def compile_ahead(plan: SweepPlan, rigs: Rigs) -> None:
+    """Compile in the background what a sweep of such rigs will run: of arrays the shapes count."""
+    prepared = _prepare.ahead(with_traced_numbers(plan.stepper), rigs)
+    lanes = prepared.first_frequency.shape[0] * len(plan.directions)
+    pool_programs.compile_ahead(prepared.march, lanes, plan.max_period, plan.settle == "follow")
 
 
 def sweep_rigs(
@@ -204,7 +215,8 @@ def sweep_rigs(
     warn: Callable[[str], object] = lambda sentence: None,
 ) -> Swept:
     """Sweep all rigs; `report` takes numbers of points reached, `warn` what cannot be."""
-    prepared = prepare(plan.method, rigs)
+    compile_ahead(plan, rigs)
+    prepared = prepare(plan.stepper, rigs)
     first = np.asarray(prepared.first_frequency)
     unit = first if plan.axis == "frequency_ratio" else np.full(len(first), 2 * np.pi)
     count, ways = len(first), len(plan.directions)
@@ -221,10 +233,10 @@ def sweep_rigs(
     feed = _Grid(plan, len(rig), states, unit[rig], np.asarray(prepared.reference)[rig])
     every = np.arange(len(rig))
     pool = _pool(plan, prepared, rig)
-    pool.run(np.zeros((len(rig), states)), feed.frequency(every), feed, report)
+    pool.run(np.zeros((len(rig), states)), feed.frequency(every), feed.onwards, report)
     shape = (count, ways, len(plan.grid))
     curves = {name: values.reshape(shape) for name, values in feed.curves.items()}
-    found = find_jumps(curves["amplitude_ratio"], curves["status"], plan.directions)
+    found = find_jumps(curves["amplitude_ratio"], plan.directions)
     found.fill_brackets(plan.grid)
     swept = Swept(curves, feed.states.reshape(*shape, states), found, first / (2 * np.pi))
     if plan.refine_jumps is not None and found.any():
@@ -235,7 +247,10 @@ def sweep_rigs(
 def _pool(plan: SweepPlan, prepared: Prepared, rig: np.ndarray) -> LanePool:
     tolerance = 1e-2 * plan.tolerance
     resonances = np.asarray(prepared.resonances)[:, rig]
-    return LanePool(prepared.march, rig, resonances, tolerance, plan.max_period, plan.max_periods)
+    follow = plan.settle == "follow"
+    return LanePool(
+        prepared.march, rig, resonances, tolerance, plan.max_period, plan.max_periods, follow
+    )
 
 
 def _refine(
@@ -264,7 +279,7 @@ def _refine(
         np.asarray(prepared.reference)[rig],
     )
     pool = _pool(plan, prepared, rig)
-    pool.run(feed.state, feed.frequency(np.arange(len(rig))), feed)
+    pool.run(feed.state, feed.frequency(np.arange(len(rig))), feed.onwards)
     low_high = np.array(swept.jumps.bracket)
     low_high[rig, way] = np.stack([feed.low, feed.high], axis=-1)
     swept.jumps.set_brackets(low_high[..., 0], low_high[..., 1])

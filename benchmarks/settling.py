@@ -1,0 +1,83 @@
+"""Sweeps that follow settled motions beside sweeps that march to every point, in one run.
+
+    python benchmarks/settling.py rates           the default sweep, and 256 rigs at 24 ratios
+    python benchmarks/settling.py agreement 300   random rigs: where the two differ, and how
+
+Compilation is left out of the rates: each is run once before. The random rigs are those of
+`random_rigs.py`, swept over ratios of 0.7 to 1.6.
+"""
+
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from random_rigs import random_numbers
+
+import vibrojax as vj
+
+WAYS = ("follow", "march")
+SAME = 1e-4
+"""Relative difference of amplitudes below which two points are the same."""
+
+
+def swept(settle: str, ratios: np.ndarray, refine: float | None, *zipped: Any, **numbers: Any):
+    """One sweep and its seconds."""
+    settings = vj.SweepSettings(settle=settle, refine_jumps=refine)
+    started = time.perf_counter()
+    curve = vj.frequency_sweep(
+        vj.default_rig,
+        *zipped,
+        frequency_ratio=ratios,
+        settings=settings,
+        progress=False,
+        **numbers,
+    )
+    return curve, time.perf_counter() - started
+
+
+def rates() -> None:
+    axes = {"gap": np.linspace(0.2e-3, 1e-3, 16), "stiffness": np.geomspace(1e3, 1e4, 16)}
+    cases: dict[str, Any] = {
+        "default sweep, 2 x 121, jumps refined": ({}, np.linspace(0.85, 1.35, 121), 1e-4),
+        "256 rigs, 2 x 24": (axes, np.linspace(0.95, 1.3, 24), None),
+    }
+    for name, (numbers, ratios, refine) in cases.items():
+        for settle in WAYS:
+            swept(settle, ratios, refine, **numbers)
+            curve, seconds = min(
+                (swept(settle, ratios, refine, **numbers) for _ in range(3)),
+                key=lambda pair: pair[1],
+            )
+            marched = np.asarray(curve.periods_marched)
+            print(
+                f"{name:40s} {settle:7s} {seconds:6.2f} s, {marched.size / seconds:6.0f} points/s, "
+                f"{(marched > 0).mean():.0%} marched",
+                flush=True,
+            )
+
+
+def agreement(count: int) -> None:
+    ratios = np.linspace(0.7, 1.6, 46)
+    rows = random_numbers(count)
+    rigs = {name: [row[name] for row in rows] for name in rows[0]}
+    found = {s: swept(s, ratios, None, vj.zipped(**rigs)) for s in WAYS}
+    (ours, a), (theirs, b) = found["follow"], found["march"]
+    x, y = np.asarray(ours.amplitude_ratio), np.asarray(theirs.amplitude_ratio)
+    p, q = np.asarray(ours.period), np.asarray(theirs.period)
+    periodic = q > 0
+    same = (np.abs(x - y) <= SAME * y) & (p == q)
+    print(f"{a:.1f} s and {b:.1f} s; {periodic.mean():.2%} of the marched points are periodic")
+    print(f"same: {same.mean():.2%} of all points, {same[periodic].mean():.2%} of periodic ones")
+    for rig, way, at in np.argwhere(~same & periodic):
+        before = np.clip(at + (1 if way else -1), 0, len(ratios) - 1)
+        print(
+            f"rig {rig}, {ours.directions[way]}, ratio {ratios[at]:.3f}: "
+            f"followed {x[rig, way, at]:.5f} (period {p[rig, way, at]}), "
+            f"marched {y[rig, way, at]:.5f} (period {q[rig, way, at]}), "
+            f"before {x[rig, way, before]:.5f} and {y[rig, way, before]:.5f}"
+        )
+
+
+if __name__ == "__main__":
+    {"rates": rates, "agreement": agreement}[sys.argv[1]](*map(int, sys.argv[2:]))

@@ -1,0 +1,244 @@
+"""Which tests are run when, by the processor time that they were measured to take.
+
+`quick` by file; further tests that are `slow` or `long` by name. Marks beside a test say the same
+of those that were written as such. A test is moved where another one of its tier computes the same
+public function on another rig, law or case: read off the durations, and then by reading both.
+"""
+
+QUICK = {
+    *("test_beam", "test_drive", "test_elastic_pendulum"),
+    *("test_zipped_axes", "test_replay", "test_poincare", "test_single_contact"),
+    *("test_folds", "test_period_number", "test_lyapunov", "test_bifurcation"),
+    *("test_map_chunks", "test_regime_map", "test_identification_plot", "test_saving"),
+    *("test_measured_curve", "test_measured_files", "test_measured_history"),
+    *("test_measured_responses", "test_rig_file", "test_cli_fit", "test_interrupts"),
+    *("test_tiers", "test_public_names", "test_documentation", "test_notebooks", "test_resolution"),
+    *("test_experiment_gandhi_vyas", "test_cli_cache"),
+}
+"""Files whose tests, but for the slow ones, are run all the time: some of every room."""
+
+SLOW = {
+    "test_continue_response": ("test_grazings_are_where_the_free_motion_fills_the_gap",),
+    "test_energy_flow": ("test_a_release_closes_to_rounding",),
+    "test_cli": ("test_sweep_of_the_default_rig",),
+    "test_linearly_implicit": (
+        "test_march_is_the_history_and_lanes_do_not_matter",
+        "test_single_mass_converges_to_the_exact_motion",
+        "test_other_laws_agree_with_kvaerno5",
+    ),
+    "test_contact_laws": (
+        "test_histories_agree_with_scipy_and_with_other_solvers",
+        "test_histories_go_on_from_where_another_ended",
+    ),
+    "test_exact_contact": (
+        "test_mirrored_rig_moves_mirrored",
+        "test_stops_on_either_side",
+    ),
+    "test_map_interrupted": (
+        "test_death_before_any_change_of_the_files_is_mended_by_the_same_call",
+        "test_a_full_disk_is_said_and_no_harm_wherever_it_happens",
+    ),
+    "test_wrong_calls": ("test_junk_is_answered_by_a_sentence_that_names_the_argument",),
+    "test_parameter_map": (
+        "test_every_lane_is_what_a_single_call_gives",
+        "test_zipped_axes_are_the_diagonal",
+        "test_chunks_and_order_of_axes_change_nothing",
+        "test_a_measure_that_returns_a_curve_is_told_so",
+        "test_quiet_where_there_is_no_terminal",
+        "test_measures_of_ones_own",
+    ),
+    "test_regime_map": ("test_a_map_is_its_bifurcation_diagrams",),
+    "test_map_damage": (
+        "test_a_damaged_store_is_repaired_by_the_same_call_which_says_what_was_wrong",
+    ),
+    "test_settling": (
+        "test_steady_states_are_those_of_a_long_march",
+        "test_found_orbits_close_on_themselves",
+        "test_cost_is_counted",
+        "test_not_settled_is_flagged",
+        "test_lost_lane_is_flagged_and_starts_again_from_rest",
+        "test_starting_on_the_orbit_stays_there",
+        "test_response_curve_of_a_system_of_ones_own",
+        "test_period_doubling_where_it_is_known",
+    ),
+    "test_history_misfit": ("test_derivative_follows_the_shift",),
+    "test_periodic_response": ("test_points_of_the_reference",),
+    "test_resolution": ("test_a_motion_without_contact_has_no_change_of_its_force",),
+    "test_map_store": ("test_a_lock_ends_with_its_process",),
+    "test_simulate_lists": (
+        "test_every_lane_is_that_of_a_single_call",
+        "test_initial_states_and_a_chirp",
+        "test_sampling_rate",
+    ),
+    "test_identify": (
+        "test_repetitions_side_by_side_are_what_they_are_alone",
+        "test_recovers_the_stiffness_and_bounds_the_damping",
+    ),
+    "test_splitting": (
+        "test_sweep_with_a_rounded_stop_agrees_with_exact_contact",
+        "test_linear_response_is_exact_at_any_step",
+    ),
+    "test_basins": (
+        "test_two_basins_are_those_of_plain_integration",
+        "test_motions_without_a_period_are_one_class",
+        "test_phases_of_one_orbit_are_one_attractor_or_several",
+        "test_a_barrier_that_is_not_crossed",
+        "test_results_do_not_depend_on_neighbours_or_order",
+        "test_new_numbers_do_not_compile_again",
+        "test_random_starts_and_axes",
+        "test_dataset_file_and_picture",
+        "test_a_map_of_basin_fractions",
+    ),
+    "test_regimes": (
+        "test_kinds_of_the_impact_oscillator",
+        "test_random_starts_are_the_same_for_a_seed_and_lie_outside_of_the_stop",
+        "test_energies_of_a_linear_motion",
+        "test_strobes_and_spectrum_show_the_period",
+        "test_lanes_do_not_know_of_each_other",
+        "test_dataset_file_and_pictures",
+        "test_a_lane_that_is_lost_is_flagged_and_spares_the_others",
+        "test_free_and_forced_oscillations_together_are_quasi_periodic",
+    ),
+    "test_simulate": ("test_dataset_and_picture", "test_chirp_of_equal_ends_is_the_harmonic"),
+    "test_contacts": ("test_releases_agree_with_the_reference",),
+    "test_resonance": ("test_histories_at_resonance_match_an_adaptive_solver",),
+    "test_condensed": ("test_condensed_solution_solves_the_linearised_balance",),
+    "test_explore": (
+        "test_the_live_curve_is_the_branch",
+        "test_the_orbit_is_the_one_of_its_point",
+        "test_other_numbers_compile_nothing",
+    ),
+    "test_map_identity": ("test_chunks_of_corrected_lanes_and_only_they_are_computed_again",),
+    "test_frequency_sweep": ("test_axes_equal_one_by_one", "test_point_force"),
+    "test_lyapunov": ("test_linear_oscillator_decays_at_its_damping",),
+    "test_single_contact": ("test_picture", "test_folds_on_the_grid"),
+    "test_compiling": tuple(
+        f"test_nothing_compiles_again[{study}]"
+        for study in (
+            "periodic_response_balanced",
+            "periodic_response_shot",
+            "gradient_of_periodic_response",
+            "gradient_of_simulate",
+            "continue_response",
+            "continue_response_over_axes",
+            "continue_response_from_settled_marches",
+            "continue_response_in_a_number",
+            "continue_response_balanced",
+            "continue_response_from_a_motion",
+            "branch_switch",
+            "branch_resample",
+            "fold_response",
+            "gradient_of_fold_response",
+            "fold_curves",
+            "regimes",
+            "basins",
+            "basins_of_a_plane",
+            "basins_history",
+            "bifurcation_diagram",
+            "bifurcation_diagram_in_a_number",
+            "identify_a_curve",
+            "identify_a_curve_from_several_starts",
+            "identify_by_optax",
+            "identify_a_history",
+            "identification_branch",
+            "identification_profile",
+            "identification_what_next",
+            "check_resolution",
+            "explore",
+            "explore_a_picture",
+            "parameter_map_of_sweeps",
+            "parameter_map_of_branches",
+            "parameter_map_of_periodic_responses",
+            "parameter_map_of_regimes",
+            "parameter_map_of_basins",
+            "parameter_map_with_gradients",
+        )
+    ),
+}
+"""By file: tests of several seconds."""
+
+LONG = {
+    "test_compiling": tuple(
+        f"test_nothing_compiles_again[{study}]"
+        for study in (
+            "continue_response_over_axes",
+            "continue_response_balanced",
+            "continue_response_from_a_motion",
+            "basins_of_a_plane",
+            "basins_history",
+            "bifurcation_diagram_in_a_number",
+            "identify_a_curve_from_several_starts",
+            "identify_by_optax",
+            "identification_branch",
+            "identification_profile",
+            "identification_what_next",
+            "parameter_map_of_regimes",
+            "parameter_map_of_basins",
+            "gradient_of_fold_response",
+            "gradient_of_simulate",
+            "explore_a_picture",
+            "parameter_map_of_branches",
+        )
+    ),
+    "test_notebooks": (
+        "test_runs_on_small_grids[02_what_the_stop_does]",
+        "test_runs_on_small_grids[07_soft_support]",
+        "test_runs_on_small_grids[09_performance_and_precision]",
+        "test_runs_on_small_grids[05_own_contact_law]",
+        "test_runs_on_small_grids[06_own_system]",
+        "test_runs_on_small_grids[08_pendulum_regimes]",
+    ),
+    "test_folds": ("test_forward_and_reverse_gradients_of_a_fold_agree",),
+    "test_contacts": (
+        *(f"test_steady_motions_agree_with_the_reference[{k}]" for k in range(11) if k % 5),
+        *(f"test_releases_agree_with_the_reference[{k}]" for k in range(22) if k % 4),
+        "test_how_finely_one_samples_does_not_matter",
+    ),
+    "test_wrong_calls": ("test_any_junk_for_any_argument_is_answered_by_a_sentence",),
+    "test_contact_laws": (
+        "test_sweep_shooting_and_balance_find_the_same_motion[hunt_crossley]",
+        "test_sweep_shooting_and_balance_find_the_same_motion[rubber]",
+        "test_gradients_of_a_history[hertz]",
+        "test_gradients_of_a_history[hunt_crossley]",
+        "test_gradients_of_a_history[rubber]",
+    ),
+    "test_linearly_implicit": ("test_gradients_of_a_window_nest_with_vmap",),
+    "test_energy_flow": (
+        "test_other_laws_close_too[hunt_crossley]",
+        "test_other_laws_close_too[rubber]",
+        "test_laws_of_all_kinds_driven_by_a_chirp",
+        "test_stops_that_let_go_and_several_of_them",
+    ),
+    "test_settling": ("test_gradients_of_the_steady_state[printed]",),
+    "test_resonance": (
+        "test_derivatives_at_resonance[reverse]",
+        "test_derivative_of_a_periodic_response_at_resonance",
+    ),
+    "test_map_interrupted": (
+        "test_death_before_any_change_of_the_files_is_mended_by_the_same_call[1]",
+        "test_killed_again_and_again_a_map_ends_as_if_nothing_had_been",
+    ),
+    "test_states": (
+        "test_other_methods_say_it_too",
+        "test_in_a_batch_distances_are_numbers_and_nothing_is_warned_of",
+        "test_a_motion_goes_on_from_its_last_state",
+    ),
+    "test_history_misfit": ("test_driven_from_rest", "test_shifted_steady_motion_is_found"),
+    "test_parameter_map": ("test_memory_bounds_the_chunks",),
+    "test_frequency_sweep": ("test_no_stop",),
+    "test_lyapunov": ("test_periodic_motion_has_the_exponent_of_its_leading_multiplier[0.9331]",),
+}
+"""By file: slow tests whose like CI runs on another case."""
+
+
+def marks_of(file: str, name: str) -> list[str]:
+    """Return the tiers of a test by its file and name, `test_x[case]`."""
+
+    def is_in(table: dict[str, tuple[str, ...]]) -> bool:
+        return any(name == one or name.startswith(f"{one}[") for one in table.get(file, ()))
+
+    if is_in(LONG):
+        return ["slow", "long"]
+    if is_in(SLOW):
+        return ["slow"]
+    return ["quick"] if file in QUICK else []

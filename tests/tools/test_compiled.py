@@ -1,0 +1,166 @@
+"""Functions that are compiled as a whole: what tells their programs apart, and where they run."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from vibrojax._tools import cache, waiting
+from vibrojax._tools.compiled import _signature as signature_of
+from vibrojax._tools.compiled import _sorted_out as sorted_out
+from vibrojax._tools.compiled import compiled, is_alone
+from vibrojax.model.laws import KelvinVoigt
+from vibrojax.model.systems import as_arrays, equations_of
+
+
+def power(x, exponent, *, offset=0.0):
+    return x**exponent + offset, type(exponent).__name__
+
+
+def test_what_is_no_array_is_held_with_its_type():
+    function = compiled(power)
+    for exponent in (2, 2.0, 1, True, 1.0):
+        value, name = function(jnp.asarray(3.0), exponent)
+        assert (float(value), name) == (3.0**exponent, type(exponent).__name__)
+
+
+def test_new_numbers_do_not_trace_again():
+    traced = []
+
+    def count(x):
+        traced.append(x.shape)
+        return x + 1
+
+    function = compiled(count)
+    for x in (np.zeros(3), jnp.ones(3), jax.jit(lambda: 2 * jnp.ones(3))()):
+        np.testing.assert_array_equal(function(x), x + 1)
+    assert traced == [(3,)]
+    function(np.zeros(4))
+    assert traced == [(3,), (4,)]
+
+
+def test_a_number_of_python_is_like_any_other():
+    def doubled(x):
+        return x * jnp.ones(2, jnp.float32)
+
+    function = compiled(doubled)
+    weak, strong = jnp.asarray(1.0), jnp.ones((), jnp.float64)
+    for x in (weak, strong, weak):
+        assert function(x).dtype == jnp.float64
+
+
+def test_a_field_that_holds_nothing_is_no_array():
+    """What is kept on disk for one of two optional numbers is not taken for the other."""
+
+    def file_of(*args):
+        arrays, parts = sorted_out((args, {}))
+        return equations_of._path(signature_of(arrays, parts), parts)
+
+    x = jnp.zeros(2)
+    files = [file_of(x, None), file_of(None, x), file_of(x, ...), file_of(None, None, x)]
+    assert None not in files
+    assert len(set(files)) == len(files)
+    assert file_of(x, None) == file_of(x + 1, None)
+
+
+def test_on_a_chosen_device_the_program_is_a_kept_one_too(rig):
+    """Else a map on several devices, or on a cluster, differs from others by round-off."""
+    systems = as_arrays(rig(num_modes=1))
+
+    def where():
+        arrays, parts = sorted_out((systems,))
+        signature = signature_of(arrays, parts)
+        return signature, equations_of._path(signature, parts)
+
+    usual = where()
+    for chosen in (jax.devices()[0], "cpu"):
+        with jax.default_device(chosen):
+            assert is_alone(systems)
+            assert where() == usual
+
+
+def test_inside_of_transformations_it_is_the_function():
+    function = compiled(power)
+
+    def value(x):
+        return function(x, 3, offset=1.0)[0]
+
+    assert jax.grad(value)(2.0) == pytest.approx(12.0)
+    np.testing.assert_allclose(jax.vmap(value)(jnp.arange(3.0)), [1.0, 2.0, 9.0])
+    assert jax.jit(value)(2.0) == pytest.approx(9.0)
+    with jax.disable_jit():
+        assert value(jnp.asarray(2.0)) == pytest.approx(9.0)
+
+
+def test_what_is_compiled_ahead_is_what_is_called(rig):
+    systems = as_arrays(rig(num_modes=1))
+    kinds = equations_of.ahead(systems)
+    programs = len(equations_of.programs)
+    found = equations_of(systems)
+    assert len(equations_of.programs) == programs
+    assert jax.tree.map(lambda a: (a.shape, a.dtype), kinds) == jax.tree.map(
+        lambda a: (a.shape, a.dtype), found
+    )
+    assert equations_of.kinds(systems).angular_frequency == kinds.angular_frequency
+
+
+def test_what_a_function_raises_is_raised():
+    @compiled
+    def refuse(x):
+        raise ValueError(f"{x.shape} is refused.")
+
+    with pytest.raises(ValueError, match=r"\(2,\) is refused"):
+        refuse(jnp.zeros(2))
+    with pytest.raises(ValueError, match=r"\(2,\) is refused"):
+        refuse.ahead(jnp.zeros(2))
+
+
+def test_functions_and_classes_from_outside_are_not_kept(rig, monkeypatch):
+    written = []
+    monkeypatch.setattr(cache, "write", lambda path, content: written.append(path))
+    compiled(power)(jnp.zeros(7), 2)
+
+    class Own(KelvinVoigt):
+        pass
+
+    (stop,) = rig(num_modes=1).stops
+    here = eqx.tree_at(lambda s: s.law, stop, Own(*stop.law.linear_coefficients()))
+    system = eqx.tree_at(lambda s: s.stops, rig(num_modes=1), (here,))
+    equations_of(as_arrays(system))
+    assert not written
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    monkeypatch.setattr(waiting, "PATIENCE", 0.02)
+    monkeypatch.setattr(waiting, "_ended", -np.inf)
+    monkeypatch.setattr(waiting, "_is_watched", lambda: True)
+
+
+def wait(seconds=0.3):
+    with waiting.telling("_point_slopes"):
+        waiting.time.sleep(seconds)
+
+
+def test_who_waits_is_told_once(watched, capsys):
+    wait()
+    wait()
+    assert capsys.readouterr().err == "compiling, once: point slopes ...\n"
+
+
+def test_who_waits_again_later_is_told_again(watched, capsys, monkeypatch):
+    monkeypatch.setattr(waiting, "PAUSE", 0.0)
+    wait()
+    waiting.time.sleep(0.01)
+    wait()
+    assert capsys.readouterr().err.count("compiling, once") == 2
+
+
+def test_nothing_is_said_of_short_waits_or_where_nobody_reads(watched, capsys, monkeypatch):
+    monkeypatch.setattr(waiting, "PATIENCE", 10.0)
+    wait(0.0)
+    monkeypatch.setattr(waiting, "PATIENCE", 0.02)
+    monkeypatch.setattr(waiting, "_is_watched", lambda: False)
+    wait()
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,359 @@
+"""Functions compiled as a whole, and kept between processes.
+
+`compiled` is equinox's `filter_jit` with three things more. What was traced is kept on disk
+(`jax.export`), so that another process need not trace it again; XLA's part is in JAX's own cache.
+XLA is told to compile quickly where that costs no speed. And who waits for long is told why.
+
+Inside a transformation (jit, vmap, grad) it is `filter_jit`. So is what JAX cannot export, and what
+depends on functions or classes from outside of the packages that the cache is named by: their
+sources may change under the same name.
+"""
+
+import functools
+import hashlib
+import io
+import pickle
+import weakref
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, overload
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from vibrojax._tools import cache
+from vibrojax._tools.interrupts import in_background
+from vibrojax._tools.waiting import telling
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+QUICK: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
+"""Halves what XLA takes on a CPU."""
+LIGHT = {"xla_backend_optimization_level": 0}
+"""Takes a third off that; the program is slower by half."""
+KNOWN = {*cache.MADE_BY, "vibrojax", "jaxtyping", "ml_dtypes", "builtins", "copyreg", "enum"} | {
+    *("collections", "functools", "operator", "_operator", "types")
+}
+"""Packages whose sources are known by the name of the cache's folder."""
+SETTINGS = (
+    "enable_x64",
+    "default_matmul_precision",
+    "numpy_dtype_promotion",
+    "numpy_rank_promotion",
+    "default_prng_impl",
+    "threefry_partitionable",
+)
+"""Of JAX, on which a traced program depends."""
+STEP_BY_STEP = ("disable_jit", "debug_nans", "debug_infs", "check_tracer_leaks")
+"""Of JAX, which need the function itself."""
+ANY_CALLS = [
+    jax.export.DisabledSafetyCheck.custom_call(f"lapack_{kind}{name}_ffi")
+    for kind in "sdcz"
+    for name in ("ormqr", "unmqr", "geqp3", "gtsv", "gees", "gehrd", "sytrd", "hetrd")
+]
+"""LAPACK's functions that JAX may change: here the same version reads what it wrote."""
+
+_everything: "weakref.WeakSet[Compiled[..., Any]]" = weakref.WeakSet()
+
+
+class Signature(NamedTuple):
+    """What a program was traced for; equal signatures can share it."""
+
+    structure: Any
+    held: tuple[tuple[type, Any], ...]
+    """Arguments that are no arrays, with their types; None in the place of arrays."""
+    traced: tuple[tuple[tuple[int, ...], str] | None, ...]
+    """Shape and kind of the arrays; None in the place of the others."""
+    settings: tuple[Any, ...]
+    device: int
+
+
+class Parts(NamedTuple):
+    """What a program returns beside its arrays."""
+
+    structure: Any
+    held: tuple[Any, ...]
+    is_array: tuple[bool, ...]
+
+    def filled(self, arrays: Sequence[Any]) -> Any:
+        """Put arrays into their places."""
+        left = iter(arrays)
+        both = zip(self.held, self.is_array, strict=True)
+        return jax.tree.unflatten(self.structure, [next(left) if a else h for h, a in both])
+
+
+def _kinds(arrays: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
+    """Shapes and kinds of arrays; one that was made of a Python number is like any other."""
+    canonical = jax.dtypes.canonicalize_dtype
+    return [jax.ShapeDtypeStruct(a.shape, canonical(a.dtype)) for a in arrays]
+
+
+class Program:
+    """A function traced for one signature; compiled when it is needed first."""
+
+    def __init__(self, traced: Callable[..., Any], returned: list[Parts], lightly: bool):
+        options = _options() | (LIGHT if lightly else {})
+        self.traced: Any = jax.jit(traced, compiler_options=options)
+        self.returned = returned
+        """Of one; empty before the function was traced."""
+        self.shapes: list[jax.ShapeDtypeStruct] | None = None
+        """Of the arrays it returns; None before they were asked for, or it was compiled."""
+        self.waiting: Future[Any] | None = None
+        self.call: Callable[..., Any] | None = None
+        """None before it was compiled."""
+
+    def kinds(self, arrays: Sequence[Any]) -> Any:
+        """What it returns, with `jax.ShapeDtypeStruct` in the place of arrays."""
+        if self.shapes is None:
+            self.shapes = _kinds(jax.eval_shape(self.traced, *_kinds(arrays)))
+        return self.returned[0].filled(self.shapes)
+
+    def compile(self, arrays: Sequence[Any]) -> None:
+        """Compile it, or wait until that is done."""
+        if self.waiting is None:
+            self.call = self._lowered(arrays).compile()
+        else:
+            self.call = self.waiting.result()
+        self.traced = self.waiting = None  # which hold a lot of memory
+
+    def compile_ahead(self, arrays: Sequence[Any]) -> None:
+        """Compile it in the background, unless that is done already."""
+        if self.call is None and self.waiting is None:
+            self.waiting = in_background(self._lowered(arrays).compile)
+
+    def _lowered(self, arrays: Sequence[Any]) -> Any:
+        lowered = self.traced.lower(*_kinds(arrays))
+        self.shapes = _kinds(lowered.out_info)
+        return lowered
+
+
+def _is_known(named: Any) -> bool:
+    return (getattr(named, "__module__", None) or "builtins").partition(".")[0] in KNOWN
+
+
+class _Describing(pickle.Pickler):
+    """Pickles what a program depends on; refuses functions and classes of unknown sources."""
+
+    def persistent_id(self, obj: Any) -> None:  # called for every object
+        named = isinstance(obj, type) or (callable(obj) and hasattr(obj, "__qualname__"))
+        if named and not _is_known(obj):
+            raise pickle.PicklingError(f"{obj!r} is from outside.")
+
+
+def _described(thing: Any) -> bytes:
+    """Return bytes that are equal in every process; raises where there are none."""
+    buffer = io.BytesIO()
+    pickler = _Describing(buffer, protocol=5)
+    pickler.fast = True  # no reference to what came before: equal, not identical, decides
+    pickler.dump(thing)
+    return buffer.getvalue()
+
+
+def _sorted_out(thing: Any) -> tuple[list[Any], Parts]:
+    leaves, structure = jax.tree.flatten(thing)
+    is_array = tuple(eqx.is_array(a) or isinstance(a, jax.ShapeDtypeStruct) for a in leaves)
+    both = list(zip(leaves, is_array, strict=True))
+    held = tuple(None if a else leaf for leaf, a in both)
+    return [leaf for leaf, a in both if a], Parts(structure, held, is_array)
+
+
+def is_alone(tree: Any) -> bool:
+    """Whether a call with these arrays is a program, not a part of a transformation or a check."""
+    arrays = [a for a in jax.tree.leaves(tree) if eqx.is_array(a)]
+    # Inside of jit, and of loops and the like, every new array is traced.
+    if any(isinstance(a, Tracer) for a in (*arrays, jnp.zeros(()))):
+        return False
+    if any(getattr(jax.config, f"jax_{name}") for name in STEP_BY_STEP):
+        return False
+    if not all(isinstance(a.dtype, np.dtype) for a in arrays):  # keys of random numbers
+        return False
+    device = _device()
+    if device.platform != jax.default_backend():
+        return False
+    if jax.device_count() == 1 and device.platform == "cpu":
+        return True
+    return all(a.devices() == {device} for a in arrays if isinstance(a, jax.Array))
+
+
+def _device() -> Any:
+    """Where programs run."""
+    chosen = getattr(jax.config, "jax_default_device", None)
+    if chosen is None:
+        return jax.devices()[0]
+    return jax.local_devices(backend=chosen)[0] if isinstance(chosen, str) else chosen
+
+
+def _signature(arrays: Sequence[Any], parts: Parts) -> Signature:
+    canonical = jax.dtypes.canonicalize_dtype
+    shapes = iter([(a.shape, str(canonical(a.dtype))) for a in arrays])
+    return Signature(
+        parts.structure,
+        # 1 and True are equal, NaN is not to itself.
+        tuple((type(held), held if held == held else None) for held in parts.held),
+        tuple(next(shapes) if a else None for a in parts.is_array),
+        tuple(str(getattr(jax.config, f"jax_{name}")) for name in SETTINGS),
+        _device().id,
+    )
+
+
+class Compiled(Generic[Given, Result]):
+    """A function that is compiled when it is called; see `compiled`."""
+
+    def __init__(self, function: Callable[Given, Result], lightly: bool):
+        self.function, self.lightly = function, lightly
+        self.plain = eqx.filter_jit(function)
+        self.programs: dict[Signature, Program] = {}
+        functools.update_wrapper(self, function)
+        _everything.add(self)
+
+    def __reduce__(self) -> str:
+        return self.function.__qualname__  # by its name
+
+    def __call__(self, *args: Given.args, **kwargs: Given.kwargs) -> Result:
+        arrays, parts = _sorted_out((args, kwargs))
+        if not is_alone(arrays):
+            return self.plain(*args, **kwargs)
+        signature = _signature(arrays, parts)
+        program = self.programs.get(signature)
+        if program is None or program.call is None:
+            with telling(self.function.__qualname__):
+                program = self._program(signature, parts, arrays)
+                program.compile(arrays)
+        assert program.call is not None  # just compiled
+        return program.returned[0].filled(program.call(*arrays))
+
+    def kinds(self, *args: Any, **kwargs: Any) -> Any:
+        """Return what a call would, with `jax.ShapeDtypeStruct` in the place of arrays.
+
+        Arrays may be given as such too. Nothing is compiled.
+        """
+        arrays, parts = _sorted_out((args, kwargs))
+        if not is_alone(arrays):
+            return eqx.filter_eval_shape(self.plain, *args, **kwargs)
+        return self._program(_signature(arrays, parts), parts, arrays).kinds(arrays)
+
+    def ahead(self, *args: Any, **kwargs: Any) -> Any:
+        """Compile in the background what will be called with such arguments; return the `kinds`."""
+        arrays, parts = _sorted_out((args, kwargs))
+        if not is_alone(arrays):
+            return eqx.filter_eval_shape(self.plain, *args, **kwargs)
+        program = self._program(_signature(arrays, parts), parts, arrays)
+        program.compile_ahead(arrays)
+        return program.kinds(arrays)
+
+    def _program(self, signature: Signature, parts: Parts, arrays: list[Any]) -> Program:
+        """Take the program from memory or disk, or trace it and put it there."""
+        known = self.programs.get(signature)
+        if known is None:
+            known = self.programs[signature] = self._read_or_traced(signature, parts, arrays)
+        return known
+
+    def _read_or_traced(self, signature: Signature, parts: Parts, arrays: list[Any]) -> Program:
+        path = self._path(signature, parts)
+        kept = None if path is None else _read(path)
+        if kept is not None:
+            exported, kind = kept
+            return Program(self._named(exported.call), [kind], self.lightly)
+        returned: list[Parts] = []
+        function: Any = self.function
+
+        def flat(*arrays: Any) -> tuple[Any, ...]:
+            args, kwargs = parts.filled(arrays)
+            found, kind = _sorted_out(function(*args, **kwargs))
+            returned[:] = [kind]
+            return tuple(found)
+
+        traced = self._named(flat)
+        exported = None if path is None else _exported(traced, arrays)
+        if path is None or exported is None:
+            return Program(traced, returned, self.lightly)
+        _write(path, exported, returned[0])
+        return Program(self._named(exported.call), returned, self.lightly)
+
+    def _named(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        def named(*arrays: Any) -> Any:
+            return call(*arrays)
+
+        named.__name__ = getattr(self.function, "__name__", "function")  # shown by JAX
+        return named
+
+    def _path(self, signature: Signature, parts: Parts) -> Path | None:
+        """File of a program; None where it cannot be known in another process."""
+        folder = cache.folder()
+        local = "<" in self.function.__qualname__  # what it encloses is not known
+        if folder is None or local or not _is_known(self.function):
+            return None
+        called = f"{self.function.__module__}.{self.function.__qualname__}"
+        # An array is told from the None of a field that holds nothing.
+        arguments = parts.filled([...] * len(signature.traced))
+        where = jax.default_backend(), _device().device_kind
+        try:
+            known = _described((called, arguments, signature.traced, signature.settings, where))
+        except Exception:  # whatever the classes of arguments raise
+            return None
+        return folder / hashlib.sha256(known).hexdigest()[:32]
+
+
+def _exported(flat: Callable[..., Any], arrays: Sequence[Any]) -> jax.export.Exported | None:
+    try:
+        return jax.export.export(jax.jit(flat), disabled_checks=ANY_CALLS)(*_kinds(arrays))
+    except Exception:  # what is wrong is said when it is called
+        return None
+
+
+def _write(path: Path, program: jax.export.Exported, returned: Parts) -> None:
+    like = returned.filled([np.zeros(0)] * sum(returned.is_array))
+    try:
+        cache.write(path, pickle.dumps((bytes(program.serialize()), _described(like))))
+    except Exception:  # something is returned that cannot be read in another process
+        return
+
+
+def _read(path: Path) -> tuple[jax.export.Exported, Parts] | None:
+    content = cache.read(path)
+    if content is None:
+        return None
+    try:
+        program, like = pickle.loads(content)
+        return jax.export.deserialize(bytearray(program)), _sorted_out(pickle.loads(like))[1]
+    except Exception:  # a broken file is as good as none
+        return None
+
+
+def forget() -> None:
+    """Drop all programs from memory."""
+    for function in _everything:
+        function.programs.clear()
+
+
+@functools.cache
+def _options() -> dict[str, Any]:
+    """Options for XLA, where this one knows them."""
+    try:
+        jax.jit(jnp.negative, compiler_options=QUICK)(0.0)
+    except Exception:
+        return {}
+    return QUICK
+
+
+@overload
+def compiled(function: Callable[Given, Result]) -> Compiled[Given, Result]: ...
+
+
+@overload
+def compiled(*, lightly: bool) -> Callable[[Callable[Given, Result]], Compiled[Given, Result]]: ...
+
+
+def compiled(function: Any = None, *, lightly: bool = False) -> Any:
+    """Compile a function of PyTrees when it is called; arrays are traced, all else is held.
+
+    `lightly` is for what runs once in a call, for milliseconds: XLA then hardly optimises it.
+    """
+    if function is None:
+        return functools.partial(compiled, lightly=lightly)
+    return Compiled(function, lightly)

@@ -1,0 +1,55 @@
+"""What a branch tells of its motions, exact or balanced."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vibrojax._tools.compiled import compiled
+from vibrojax.steady.balanced_motion import BalancedMotion
+from vibrojax.steady.batches import in_batches
+from vibrojax.steady.exact_point import ExactPoint
+from vibrojax.steady.paths import AbstractPath, localise
+
+Columns = dict[str, np.ndarray]
+
+
+@compiled
+def _references(paths: AbstractPath, parameter):
+    def one(path, p):
+        place = path.at(p)
+        reference, _ = place.drive.reference
+        return jnp.asarray(reference, float), place.equations.angular_frequency[0]
+
+    return jax.vmap(one)(paths, parameter)
+
+
+def columns_of(
+    paths: AbstractPath,
+    lane: np.ndarray,
+    values: np.ndarray,
+    motion: ExactPoint | BalancedMotion,
+    period: int,
+) -> Columns:
+    """Return the columns of a branch at motions of some lanes; displacements as ratios."""
+    paths = jax.device_get(paths)
+    reference, natural = in_batches(
+        lambda i: _references(localise(paths, lane[i], values[i], False), values[i]), len(lane)
+    )
+    exact = isinstance(motion, ExactPoint)
+    read = motion.reading if exact else motion
+    columns = {
+        "values": values,
+        "amplitude_ratio": (read.highest - read.lowest) / 2 / reference,
+        "peak_ratio": np.maximum(read.highest, -read.lowest) / reference,
+        "rms_ratio": np.sqrt(read.mean_square) / reference,
+        "first_harmonic_ratio": read.first_harmonic / reference,
+        "contact_force": read.contact_force,
+        "contact_fraction": read.contact_fraction,
+        "contacts_per_period": read.contacts / period,
+        "floquet_multipliers": motion.multipliers,
+        "residual": motion.residual,
+        "initial_state": read.initial_state,
+        "exact_points": motion.valid if exact else np.zeros(len(lane), bool),
+        "natural_frequency": natural / 2 / np.pi,
+    }
+    return {name: np.asarray(column) for name, column in columns.items()}

@@ -1,0 +1,76 @@
+"""Sweeps as the response of a map: every lane followed along the frequency."""
+
+import numpy as np
+
+from vibrojax.ensemble.frequencies import DIRECTIONS
+from vibrojax.maps.responses import (
+    MARCHED,
+    STATUS,
+    AbstractMapResponse,
+    Computed,
+    Folds,
+    Grid,
+    Layout,
+    Points,
+)
+from vibrojax.maps.rig_maker import RigMaker
+from vibrojax.model.systems import AbstractSystem
+from vibrojax.results.status import Status
+from vibrojax.stepping.stepper import AbstractStepper
+from vibrojax.sweep.frequency_response import CURVES
+from vibrojax.sweep.settings import SweepSettings
+from vibrojax.sweep.swept_lanes import before_jumps, numbers_of_jumps, sweep_rigs
+
+
+class SweepMap(AbstractMapResponse):
+    """Sweeps with the state carried along, as `frequency_sweep` makes them."""
+
+    settings: SweepSettings
+
+    def check(self, sample: AbstractSystem, grid: Grid) -> None:
+        """Refuse what `frequency_sweep` refuses."""
+        self.settings.plan(sample, grid.axis, grid.values)
+
+    def march_stepper(self, sample: AbstractSystem, grid: Grid) -> AbstractStepper:
+        """Return that of the sweep."""
+        return self.settings.plan(sample, grid.axis, grid.values).stepper
+
+    @property
+    def layout(self) -> Layout:
+        """Variables of a `FrequencyResponse`; the area needs both directions."""
+        names = (
+            "peak_amplitude_ratio",
+            "peak_frequency",
+            "resonance_shift",
+            "largest_contact_force",
+            "jump_up",
+            "jump_down",
+            "hysteresis_width",
+            "hysteresis_area",
+            "aperiodic_fraction",
+            "natural_frequency",
+        )
+        ways = DIRECTIONS[self.settings.direction]
+        offered = tuple(n for n in names if len(ways) == 2 or n != "hysteresis_area")
+        return Layout(CURVES, offered, MARCHED, STATUS, "direction", ways)
+
+    def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
+        """Sweep the rigs of a block."""
+        sample = maker.sample(tuple(int(i[0]) for i in index))
+        swept = sweep_rigs(self.settings.plan(sample, grid.axis, grid.values), maker.rigs(index))
+        jumps = numbers_of_jumps(swept)
+        curves = swept.curves
+        worst = np.minimum(curves["status"].max(axis=(1, 2)), Status.diverged.value)
+        settled = curves["status"] == Status.settled.value
+        return Computed(
+            curves=curves,
+            numbers={
+                "jump_up": jumps["jump_up"],
+                "jump_down": jumps["jump_down"],
+                "natural_frequency": swept.natural_frequency,
+            },
+            points=Points(swept.states, np.where(settled, curves["period"], 0)),
+            lane_status=worst,
+            lane_steps=curves["steps"].sum(axis=(1, 2), dtype=np.int64),
+            folds={n: Folds(*before) for n, before in before_jumps(swept).items()},
+        )
