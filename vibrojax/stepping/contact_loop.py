@@ -1,4 +1,4 @@
-"""The loop of exact contact: one attempt after another, each lane at its own pace."""
+"""The loop of exact contact: every lane from one change of contact to the next, at its own pace."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,25 +10,25 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from vibrojax._tools.trigonometry import cosine
 from vibrojax.stepping.contact_phases import ContactPhases, spread
-from vibrojax.stepping.cubic import cubic_between, cubic_maximum
-from vibrojax.stepping.elementary import apply_matrix, computed_once, where_needed
+from vibrojax.stepping.cubic import cubic_maximum
+from vibrojax.stepping.elementary import apply_matrix, computed_once, pick, where_needed
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.measures import Measures, Segment
-from vibrojax.stepping.phase_motion import contact_indicator, stop_push
+from vibrojax.stepping.outlook import Sight, outlook_of
 from vibrojax.stepping.resonance import driven_growth
+from vibrojax.stepping.turns import powers, product, short_turn, turn_over, turned
 
 lax = jax.lax
 
 Number = Float[Array, "*#lanes"]
 Phase = Int[Array, "*#lanes"]
 Whether = Bool[Array, "*#lanes"]
-Blocks = Float[Array, "2 blocks *#lanes"]
-PerStop = Float[Array, "stops *#lanes"]
+Blocks = Float[Array, "2 blocks *#shape"]
 Which = Bool[Array, "stops *#lanes"]
-Rows = Float[Array, "rows *#lanes"]
+Wave = Float[Array, "2 *#shape"]
 
-_PLACES = (0.15, 0.325, 0.5, 0.675, 0.85)
-"""Where along a step the cubics are asked how far from zero they stay."""
+CELLS = 64
+"""Steps of equal length in which a flight is measured; a power of two."""
 
 
 class Flight(NamedTuple):
@@ -37,35 +37,32 @@ class Flight(NamedTuple):
     blocks: Float[Array, "2 blocks *#lanes"]
     phase: Int[Array, "*#lanes"]
     time: Float[Array, "*#lanes"]
-    step: Float[Array, "*#lanes"]
-    reading: Float[Array, "rows *#lanes"]
+    scale: Float[Array, "*#lanes"]
+    """Grid to look on, over the usual one."""
+    hint: Float[Array, "*#lanes"]
+    """Time to where a crossing has been found, s; 0 where none has."""
+    hinted: Int[Array, "*#lanes"]
+    """Stop that crosses there."""
     finished: Int[Array, "*#lanes"]
-    attempts: Int[Array, "*#lanes"]
+    rounds: Int[Array, "*#lanes"]
     measures: Measures | None
 
 
-def pick(index: Int[Array, "*#lanes"], table: Array) -> Array:
-    """Take the row of each lane: `where` for the usual two, which XLA fuses; no gather."""
-    chosen = table[0]
-    for i in range(1, table.shape[0]):
-        chosen = jnp.where(index == i, table[i], chosen)
-    return chosen
+class Landing(NamedTuple):
+    """What becomes of a lane where it has been taken to."""
 
-
-def _wiggle(phases: ContactPhases) -> Float[Array, "phases stops blocks *lanes"]:
-    """What a unit of every block adds to the largest error of the cubic for a depth, over h^4.
-
-    The cubic through values and slopes is off by at most h^4/384 times the fourth derivative.
-    """
-    n = phases.num_blocks
-    rows = phases.readout[:, : phases.num_stops]
-    size = jnp.sqrt(rows[:, :, :n] ** 2 + rows[:, :, n:] ** 2)
-    rate = jnp.max(phases.exponent**2, axis=1) + phases.rate**2
-    return size * rate[:, None] ** 2 / 384
+    again: Bool[Array, "*lanes"]
+    """Whether it was taken too far, or not near enough: it tries again, with a hint."""
+    stop: Int[Array, "*lanes"]
+    """Stop that changes its contact; -1 for none."""
+    late: Float[Array, "*lanes"]
+    """What is left to the crossing, s."""
+    hint: Float[Array, "*lanes"]
+    hinted: Int[Array, "*lanes"]
 
 
 class ContactLoop:
-    """The attempt of one step, over tables that stay fixed while the loop runs."""
+    """One round of all lanes, over tables that stay fixed while the loop runs."""
 
     def __init__(self, phases: ContactPhases, force: Forcing, observe: bool):
         self.phases, self.force, self.observe = phases, force, observe
@@ -74,99 +71,44 @@ class ContactLoop:
         self.count = 2**self.stops
         self.exponent = spread(phases.exponent, 3, self.lanes)
         self.rate = spread(phases.rate, 2, self.lanes)
-        self.oscillates = spread(phases.oscillates, 2, self.lanes) > 0
-        self.wiggle = spread(_wiggle(phases), 3, self.lanes)
         self.period = 2 * jnp.pi / force.angular_frequency
-        # Velocity is read after a change of phase only by laws and measures that ask for it.
-        self.reread = observe or not all(phases.can_pull)
-        rows = 3 * self.stops + 2 if observe else (3 if self.reread else 2) * self.stops
-        readout = phases.readout[:, :rows]
-        self.readout = readout.reshape(-1, *readout.shape[2:])
-        self.readout_rest = spread(phases.readout_rest, 2, self.lanes)[:, :rows]
-        self.readout_wave = force.readout[:, :rows].real, force.readout[:, :rows].imag
+        self.outlook = outlook_of(phases, force) if self.stops else None
         change = phases.change
         self.change = change.reshape(-1, *change.shape[3:])
         self.change_rest = spread(phases.change_rest, 3, self.lanes)
         self.change_wave = force.change.real, force.change.imag
         self.resonant = jnp.any(force.driven != 0)
         self.bits = self.column([1 << s for s in range(self.stops)]).astype(np.int32)
+        self.numbers = self.column(range(self.stops)).astype(np.int32)
 
     def phase_of(self, touching: Which) -> Phase:
         """Index of the phase in which these stops touch."""
         return jnp.sum(jnp.where(touching, self.bits, 0), axis=0, dtype=jnp.int32)
 
-    def column(self, values: Sequence[float | int]) -> Shaped[np.ndarray, "rows *ones"]:
-        """Put one value per row, the same for all lanes."""
-        return np.asarray(values).reshape((len(values),) + (1,) * self.lanes)
-
-    def phasor(self, time: Number) -> Float[Array, "2 *#lanes"]:
-        """Sine and cosine of the drive phase, as one array."""
-        angle = self.force.start_phase + self.force.angular_frequency * time
-        return cosine(angle - self.column([np.pi / 2, 0.0]))
-
-    def read(self, blocks: Blocks, phase: Phase, sine: Number, cosine_: Number) -> Rows:
-        """Read depths and speeds (and more, where needed) off block coordinates."""
-        flat = blocks.reshape(2 * self.n, *blocks.shape[2:])
-        rows = apply_matrix(self.readout, flat)
-        rows = rows.reshape(self.count, -1, *rows.shape[1:])
-        return (
-            pick(phase, rows + self.readout_rest)
-            + pick(phase, self.readout_wave[0]) * sine
-            + pick(phase, self.readout_wave[1]) * cosine_
-        )
-
     def touching(self, phase: Phase) -> Which:
         """Which stops are in contact."""
         return (phase & self.bits) > 0
 
-    def contact(self, reading: Rows) -> tuple[PerStop, PerStop]:
-        """Indicator of contact of each stop (positive in contact) and its rate, m and m/s."""
-        k = self.stops
-        depth, speed = reading[:k], reading[k : 2 * k]
-        if all(self.phases.can_pull):
-            return depth, speed
-        # Without tension contact also ends where the force does.
-        push = stop_push(
-            spread(self.phases.stiffness, 1, self.lanes),
-            spread(self.phases.damping, 1, self.lanes),
-            self.column(self.phases.can_pull),
-            self.force.angular_frequency,
-            depth,
-            speed,
-            reading[2 * k : 3 * k],
-        )
-        return contact_indicator(depth, speed, *push)
+    def column(self, values: Sequence[float | int]) -> Shaped[np.ndarray, "rows *ones"]:
+        """Put one value per row, the same for all lanes."""
+        return np.asarray(values).reshape((len(values),) + (1,) * self.lanes)
 
-    def factors(
-        self, phase: Phase, oscillates: Bool[Array, "blocks *#lanes"], step: Number
-    ) -> Blocks:
-        """Growth of both rows of every block over a step: decay times (cosine, sine)."""
-        decay, rate = pick(phase, self.exponent), pick(phase, self.rate)
-        quarter = self.column([0.0, np.pi / 2])[:, None]
-        turn = jnp.where(oscillates, rate * step - quarter, 0.0)
-        return jnp.exp(decay * step) * cosine(turn)
-
-    def rotate(
-        self, factor: Blocks, oscillates: Bool[Array, "blocks *#lanes"], blocks: Blocks
-    ) -> Blocks:
-        """Advance block coordinates by their factors: a rotation, or two exponentials."""
-        sign = self.column([-1.0, 1.0])[:, None]
-        along = jnp.where(oscillates, factor[:1], factor)
-        across = jnp.where(oscillates, factor[1:], 0.0)
-        return along * blocks + sign * across * blocks[::-1]
-
-    def drift(self, blocks: Blocks, phase: Phase, time: Number) -> Blocks:
-        """First-order motion over a short time: the Newton correction of a crossing."""
-        decay, rate = pick(phase, self.exponent), pick(phase, self.rate)
-        sign = self.column([-1.0, 1.0])[:, None]
-        return blocks + time * (decay * blocks + sign * rate * blocks[::-1])
+    def phasor(self, time: Float[Array, "*#where"]) -> Wave:
+        """Sine and cosine of the drive phase, as one array."""
+        angle = self.force.start_phase + self.force.angular_frequency * time
+        return cosine(angle - np.reshape([np.pi / 2, 0.0], (2,) + (1,) * angle.ndim))
 
     def pushed(self, blocks: Blocks, phase: Phase, time: Number, step: Number) -> Blocks:
-        """Add what the drive does over a step to the blocks that it turns in resonance."""
+        """Add what the drive does over a step to the blocks that it turns in resonance.
+
+        Blocks and step may have an axis before the lanes.
+        """
 
         def add():
             decay, rate = pick(phase, self.exponent)[0], pick(phase, self.rate)
             driven = pick(phase, self.force.driven)
+            if step.ndim > self.lanes:
+                decay, rate, driven = decay[:, None], rate[:, None], driven[:, None]
             frequency = self.force.angular_frequency
             angle = self.force.start_phase + frequency * time
             added = driven_growth(decay, rate, driven, angle, frequency, step)
@@ -174,185 +116,146 @@ class ContactLoop:
 
         return where_needed(self.resonant, add, blocks)
 
-    def cubic_error(self, blocks: Blocks, phase: Phase, step: Number) -> PerStop:
-        """Bound of the error of the cubics through the depths over a step, m."""
-        blocks = lax.stop_gradient(blocks)
-        size = jnp.sqrt(blocks[0] ** 2 + blocks[1] ** 2)
-        wiggle = lax.stop_gradient(pick(phase, self.wiggle))
-        return jnp.sum(wiggle * size, axis=1) * lax.stop_gradient(step) ** 4
-
-    def proposal(
-        self,
-        start: PerStop,
-        start_rate: PerStop,
-        end: PerStop,
-        end_rate: PerStop,
-        step: Number,
-        error: PerStop,
-        touching: Which,
-        tolerance: Number,
-    ) -> Number:
-        """Fraction of the step up to the first crossing of any stop; 1 where there is none."""
-        sign = jnp.where(touching, -1.0, 1.0)
-        f0, f1 = jnp.minimum(sign * start, 0.0), sign * end
-        d0, d1 = sign * start_rate * step, sign * end_rate * step
-        cubic = cubic_between(f0, d0, f1, d1)
-        crossed = f1 > tolerance
-        # Newton on the cubic from the secant; from the turning point when the step starts on it.
-        secant = -f0 / jnp.where(crossed, f1 - f0, 1.0)
-        curve = jnp.where(cubic.curve == 0, 1.0, cubic.curve)
-        turning = jnp.where(d0 > 0, 0.5, jnp.clip(-d0 / curve, 0, 1))
-        u = jnp.clip(jnp.where(f0 > -tolerance, turning, secant), 0.02, 0.95)
-        # Short of the end, so that a cubic that misleads cannot hold the lane up.
-        u = jnp.clip(cubic.root(guess=u, rounds=4), 0.005, 0.95)
-        # A touch and go inside the step shows as a maximum above zero.
-        top, height = cubic.peak()
-        hidden = ~crossed & (d0 > 0) & (top > 0.01) & (top < 0.99) & (height > tolerance)
-        # Where the cubic may be wrong by more than its distance from zero, the step is halved.
-        reach = jnp.where(error > tolerance, 16.0 * error, 0.0)
-        doubt = jnp.zeros(crossed.shape, bool)
-        for x in _PLACES:
-            doubt = doubt | (cubic.at(x) + reach * (x * (1 - x)) ** 2 > tolerance)
-        accepted = jnp.where(doubt & ~crossed, 0.5, 1.0)
-        found = jnp.where(crossed, u, jnp.where(hidden, top, accepted))
-        return jnp.min(found, axis=0, initial=1.0)
-
-    def attempt(self, flight: Flight, live: Whether, tick: Int[Array, ""], until: Number) -> Flight:
-        """Try one step in every live lane; `until` is the time at which a lane's run ends."""
+    def round(self, flight: Flight, live: Whether, tick: Int[Array, ""], until: Number) -> Flight:
+        """Take every live lane to its next change of contact, or to the time at which its run ends."""
         once = lambda f: computed_once(tick, f)  # noqa: E731
-        force, phase, step = self.force, flight.phase, flight.step
-        tolerance = force.depth_tolerance
-        oscillates = pick(phase, self.oscillates)
-        factors = once(lambda: self.factors(phase, oscillates, step))
-        moved = self.rotate(factors, oscillates, flight.blocks)
-        moved = self.pushed(moved, phase, flight.time, step)
-        time = flight.time + step
-        wave = once(lambda: self.phasor(time))
-        reading = once(lambda: self.read(moved, phase, wave[0], wave[1]))
+        phase, left = flight.phase, until - flight.time
         touching = self.touching(phase)
-        start, start_rate = self.contact(flight.reading)
-        end, end_rate = self.contact(reading)
-
-        error = self.cubic_error(flight.blocks, phase, step)
-        seen = lax.stop_gradient((start, start_rate, end, end_rate, step, error))
-
-        def propose():
-            return self.proposal(*seen, touching, tolerance)
-
-        fraction = once(propose)
-        kept = live & (fraction >= 1.0)
-        outward = jnp.where(touching, -end_rate, end_rate)
-        arrived = (jnp.abs(end) <= tolerance) & (outward > 0) & kept
-        # One stop changes at a time; another one that arrived too is found by the next attempt.
-        first = jnp.cumsum(arrived.astype(jnp.int32), axis=0) == 1
-        arrived = arrived & first
-        flips = jnp.any(arrived, axis=0)
-        arriving = jnp.sum(jnp.where(arrived, end, 0.0), axis=0)
-        speed = lax.stop_gradient(jnp.sum(jnp.where(arrived, end_rate, 0.0), axis=0))
-        limit = 0.02 * lax.stop_gradient(step)
-
-        def newton():
-            late = jnp.where(flips, -arriving / jnp.where(speed == 0, 1.0, speed), 0.0)
-            return jnp.clip(late, -limit, limit)
-
-        late = once(newton)
-        landed = self.pushed(self.drift(moved, phase, late), phase, time, late)
-        time = time + late
-        turn = force.angular_frequency * late
-        sine, cosine_ = wave[0] + turn * wave[1], wave[1] - turn * wave[0]
+        decay, rate = pick(phase, self.exponent), pick(phase, self.rate)
+        sight = self.look(flight, touching, tick)
+        whole = sight.time >= left
+        span = jnp.where(whole, left, sight.time)
+        moved = once(lambda: turned(turn_over(decay, rate, span), flight.blocks))
+        moved = self.pushed(moved, phase, flight.time, span)
+        expected = jnp.where(whole, -1, sight.stop)
+        landing = once(lambda: self.land(moved, phase, flight.time, span, expected))
+        arrived = flight.time + span + landing.late
+        rest = lambda: turned(short_turn(decay, rate, landing.late), moved)  # noqa: E731
+        landed = self.pushed(once(rest), phase, flight.time + span, landing.late)
+        kept, flips = live & ~landing.again, live & (landing.stop >= 0)
         blocks, new_phase = landed, phase
-        if self.stops:
-            blocks, new_phase = self.change_phase(landed, phase, arrived, flips, sine, cosine_)
-        done = kept & (time >= until - 1e-12 * step)
-
-        def act():
-            return jnp.where(kept, jnp.where(flips, 2, 1), 0).astype(jnp.int32)
-
-        action = once(act)
-        blocks = jnp.where(action == 2, blocks, jnp.where(action == 1, moved, flight.blocks))
-        new_phase = jnp.where(action == 2, new_phase, phase)
-        if self.reread:
-            fresh = self.read(blocks, new_phase, sine, cosine_)
-            settled = jnp.where(action > 0, fresh, flight.reading)
-        else:
-            settled = jnp.where(action > 0, reading, flight.reading)
+        if self.outlook is not None:
+            changed = once(lambda: self.change_phase(landed, phase, landing.stop, arrived))
+            blocks = jnp.where(flips, changed, landed)
+            new_phase = phase ^ self.phase_of(flips & (self.numbers == landing.stop))
+        done = kept & whole & ~flips
         measures = flight.measures
         if measures is not None:
-            segment = self.segment(flight, reading, step + late, touching, arrived)
+            segment = once(lambda: self.segment(flight, touching, span + landing.late, landing.stop))
             measures = measures.add(segment, kept)
-        ended = jnp.where(done, 0.0, time)
-        following = self.next_step(settled, new_phase, until - ended)
         return Flight(
-            blocks=blocks,
+            blocks=jnp.where(kept, blocks, flight.blocks),
             phase=new_phase,
-            time=jnp.where(kept, ended, flight.time),
-            step=jnp.where(live, jnp.where(kept, following, fraction * step), step),
-            reading=settled,
+            time=jnp.where(kept, jnp.where(done, 0.0, arrived), flight.time),
+            scale=jnp.where(kept, sight.scale, flight.scale),
+            hint=landing.hint,
+            hinted=landing.hinted,
             finished=flight.finished + done,
-            attempts=flight.attempts + live,
+            rounds=flight.rounds + live,
             measures=measures,
         )
 
+    def look(self, flight: Flight, touching: Which, tick: Int[Array, ""]) -> Sight:
+        """How far a lane may go, or is to go to land on a crossing."""
+        time, stop = jnp.full_like(flight.scale, jnp.inf), jnp.full_like(flight.phase, -1)
+        sight = Sight(time, stop, flight.scale)
+        if self.outlook is not None:
+            wave, tolerance = self.phasor(flight.time), self.force.depth_tolerance
+            seen = self.outlook, flight.blocks, wave, flight.scale, tolerance
+            outlook, blocks, *rest = lax.stop_gradient(seen)
+            sight = outlook.look(blocks, flight.phase, touching, *rest, tick)
+            hinted = flight.hint > 0
+            time = jnp.where(hinted, flight.hint, sight.time)
+            stop = jnp.where(hinted, flight.hinted, sight.stop)
+        if self.observe:
+            longest = lax.stop_gradient(CELLS * self.force.longest_step)
+            stop, time = jnp.where(time > longest, -1, stop), jnp.minimum(time, longest)
+        return Sight(time, stop, sight.scale)
+
+    def land(
+        self, moved: Blocks, phase: Phase, begun: Number, span: Number, expected: Phase
+    ) -> Landing:
+        """What becomes of lanes that went for a time, to where a stop was `expected` to change."""
+        touching, tolerance = self.touching(phase), self.force.depth_tolerance
+        none = jnp.full(span.shape, -1, jnp.int32)
+        if self.outlook is None:
+            return Landing(none > 0, none, 0 * span, 0 * span, none)
+        read = self.outlook.read(moved, phase, touching, self.phasor(begun + span))
+        value, slope, bend = self.outlook.breach(touching, read)
+        # Root of the parabola at which contact changes, in the form that does not cancel.
+        square = slope**2 - 2 * bend * value
+        real = square > 0
+        below = slope + jnp.sqrt(jnp.where(real, square, 1.0))
+        real &= below != 0
+        late = -2 * value / jnp.where(real, below, 1.0)
+        over, awaited = value > tolerance, self.numbers == expected
+        near = jnp.abs(late) <= pick(phase, self.outlook.shortest)
+        real &= near | (late > -span)
+        # A motion that begins on a stop, as near as counts, is there already.
+        here = awaited & ~real & (jnp.abs(value) <= tolerance) & (slope > 0)
+        late = jnp.where(here, 0.0, late)
+        asked = (here | real) & (over | awaited)
+        nearest = jnp.min(jnp.where(asked, late, jnp.inf), axis=0)
+        who = jnp.argmin(jnp.where(asked, late, jnp.inf), axis=0).astype(jnp.int32)
+        found = jnp.any(asked, axis=0)
+        lands = found & (jnp.abs(nearest) <= pick(phase, self.outlook.shortest))
+        again = ~lands & (found | jnp.any(over, axis=0))
+        better = jnp.where(found, jnp.clip(span + nearest, 0.05 * span, 1.5 * span), 0.5 * span)
+        return Landing(
+            again=again,
+            stop=jnp.where(lands, who, -1),
+            late=jnp.where(lands, nearest, 0.0),
+            hint=lax.stop_gradient(jnp.where(again, better, 0.0)),
+            hinted=who,
+        )
+
     def change_phase(
-        self,
-        landed: Blocks,
-        phase: Phase,
-        arrived: Which,
-        flips: Whether,
-        sine: Number,
-        cosine_: Number,
-    ) -> tuple[Blocks, Phase]:
-        """Go over to the block coordinates of the phase that the arrived stop leads to."""
+        self, landed: Blocks, phase: Phase, stop: Phase, time: Number
+    ) -> Float[Array, "2 blocks *lanes"]:
+        """Block coordinates of the phase that a stop's change of contact leads to."""
         flat = landed.reshape(2 * self.n, *landed.shape[2:])
+        sine, cosine_ = self.phasor(time)
         rows = apply_matrix(self.change, flat)
         rows = rows.reshape(self.count, self.stops, 2 * self.n, *rows.shape[1:])
         rows = rows + self.change_rest
         rows = rows + self.change_wave[0] * sine + self.change_wave[1] * cosine_
-        by_stop = pick(phase, rows)
-        changed = by_stop[0]
-        for s in range(1, self.stops):
-            changed = jnp.where(arrived[s], by_stop[s], changed)
-        flipped = phase ^ self.phase_of(arrived)
-        return changed.reshape(landed.shape), jnp.where(flips, flipped, phase)
-
-    def next_step(self, reading: Rows, phase: Phase, left: Number) -> Number:
-        """Longest step, cut where the present speeds would bring a stop to its crossing."""
-        longest = self.force.longest_step
-        if self.stops:
-            value, rate = (lax.stop_gradient(a) for a in self.contact(reading))
-            sign = jnp.where(self.touching(phase), -1.0, 1.0)
-            closing = (sign * rate > 0) & (sign * value < 0)
-            soon = jnp.where(closing, -value / jnp.where(closing, rate, 1.0), np.inf)
-            soon = jnp.min(soon, axis=0)
-            longest = jnp.where(soon > 0, jnp.minimum(soon, longest), longest)
-        return jnp.minimum(longest, left)
+        return pick(stop, pick(phase, rows)).reshape(landed.shape)
 
     def segment(
-        self, flight: Flight, reading: Rows, duration: Number, touching: Which, arrived: Which
+        self, flight: Flight, touching: Which, duration: Number, stop: Phase
     ) -> Segment:
-        """What the measures see of an accepted step."""
-        k = self.stops
-        start = flight.reading
-        stiffness = spread(self.phases.stiffness, 1, self.lanes)
-        damping = spread(self.phases.damping, 1, self.lanes)
-
-        def force_of(r):
-            depth, speed, acceleration = r[:k], r[k : 2 * k], r[2 * k : 3 * k]
-            value = stiffness * depth + damping * speed
-            return value, stiffness * speed + damping * acceleration
-
-        (f0, g0), (f1, g1) = force_of(start), force_of(reading)
-        peak = jnp.where(touching, cubic_maximum(f0, g0 * duration, f1, g1 * duration), 0.0)
-        angle = self.force.start_phase + self.force.angular_frequency * flight.time
-        numbers = self.column(range(k))
+        """What the measures see of a flight, in steps of equal length along the first axis."""
+        k, phase = self.stops, flight.phase
+        cell = duration / CELLS
+        turn = turn_over(pick(phase, self.exponent), pick(phase, self.rate), cell)
+        share = np.arange(CELLS + 1).reshape((-1,) + (1,) * self.lanes)
+        blocks = turned(powers(turn, CELLS), flight.blocks[:, :, None])
+        blocks = self.pushed(blocks, phase, flight.time, share[1:] * cell)
+        blocks = jnp.concatenate([flight.blocks[:, :, None], blocks], axis=2)
+        sine, cosine_ = self.phasor(flight.time + share * cell)
+        rows = pick(phase, spread(self.phases.readout, 3, self.lanes))
+        rows = jnp.moveaxis(rows.reshape(rows.shape[0], 2, self.n, *rows.shape[2:]), 0, 2)
+        rest = pick(phase, spread(self.phases.readout_rest, 2, self.lanes))[:, None]
+        wave = pick(phase, self.force.readout)[:, None]
+        read = product(rows[:, :, :, None], blocks[:, :, None]) + rest
+        read = read + wave.real * sine + wave.imag * cosine_
+        depth, speed, acceleration = read[:k], read[k : 2 * k], read[2 * k : 3 * k]
+        stiffness, damping = (
+            spread(a, 1, self.lanes)[:, None] for a in (self.phases.stiffness, self.phases.damping)
+        )
+        force, change = stiffness * depth + damping * speed, stiffness * speed + damping * acceleration
+        ends = slice(None, -1), slice(1, None)
+        first, last = ((force[:, end], change[:, end] * cell) for end in ends)
+        peak = jnp.where(touching[:, None], cubic_maximum(*first, *last), 0.0)
+        changed = stop == self.numbers
         return Segment(
-            duration=duration,
-            angle=angle,
+            duration=jnp.broadcast_to(cell, peak.shape[1:]),
+            angle=self.force.start_phase + self.force.angular_frequency * (flight.time + share[:-1] * cell),
             angle_rate=self.force.angular_frequency,
-            response=(start[3 * k], reading[3 * k]),
-            response_rate=(start[3 * k + 1], reading[3 * k + 1]),
+            response=(read[3 * k, :-1], read[3 * k, 1:]),
+            response_rate=(read[3 * k + 1, :-1], read[3 * k + 1, 1:]),
             force=jnp.max(peak, axis=0, initial=0.0),
             touches=jnp.any(touching, axis=0),
-            entries=jnp.sum(arrived & ~touching, axis=0, dtype=jnp.int32),
-            changed=jnp.sum(jnp.where(arrived, numbers + 1, 0), axis=0, dtype=jnp.int32) - 1,
+            entries=jnp.sum(changed & ~touching, axis=0, dtype=jnp.int32),
+            changed=stop,
         )

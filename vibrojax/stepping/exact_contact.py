@@ -20,17 +20,18 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax.model.drives import AbstractDrive, AbstractWaveform
 from vibrojax.model.systems import Motion
-from vibrojax.stepping.contact_loop import ContactLoop, Flight, pick
+from vibrojax.stepping.contact_loop import ContactLoop, Flight
 from vibrojax.stepping.contact_phases import ContactPhases, spread
-from vibrojax.stepping.elementary import apply_matrix
+from vibrojax.stepping.elementary import apply_matrix, pick
 from vibrojax.stepping.forcing import Forcing, forcing, longest_step
 from vibrojax.stepping.measures import Measures, no_events, no_measures
+from vibrojax.stepping.phase_motion import contact_indicator, stop_push
 from vibrojax.stepping.replay import replayed_while
 
 lax = jax.lax
 
-RETRIES = 40
-"""Attempts per step of the grid before a lane is given up as stalled."""
+ROUNDS = 4000
+"""Rounds in a drive period before a lane is given up."""
 
 
 def march(
@@ -52,7 +53,7 @@ def march(
     flight = run(loop, state, loop.period, target, None)
     end = leave(loop, flight, flight.time)
     end = jnp.where(flight.finished >= target, end, jnp.nan)
-    return end, flight.attempts, flight.measures
+    return end, flight.rounds, flight.measures
 
 
 def step_from(
@@ -99,7 +100,7 @@ def _step_lanes(
     )
     state = jnp.broadcast_to(spread(state, 1, len(lanes)), (state.shape[0], *lanes))
     step = jnp.minimum(longest_step(phases, rate, tolerance, None), duration)
-    force = forcing(phases, amplitude, rate, start_phase, step, tolerance / 2)
+    force = forcing(phases, amplitude, rate, start_phase, step)
     loop = ContactLoop(phases, force, observe=False)
     flight = run(loop, state, duration, jnp.ones(lanes, jnp.int32), max_attempts)
     return jnp.where(flight.finished > 0, leave(loop, flight, duration), jnp.nan)
@@ -141,7 +142,10 @@ def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
     wave = loop.phasor(zero)
     position, speed = (apply_matrix(phases.towards_stop, half) for half in jnp.split(state, 2))
     depth = position - spread(phases.gap, 1, loop.lanes)
-    indicator, rate = loop.contact(jnp.concatenate([depth, speed, jnp.zeros_like(depth)]))
+    stops = [spread(a, 1, loop.lanes) for a in (phases.stiffness, phases.damping)]
+    can_pull, w = loop.column(phases.can_pull).astype(bool), force.angular_frequency
+    pushes = stop_push(*stops, can_pull, w, depth, speed, jnp.zeros_like(depth))
+    indicator, rate = contact_indicator(depth, speed, *pushes)
     touching = indicator > 0
     if all(phases.can_pull):
         # As close as a landing counts as crossing: where it is going says on which side it is.
@@ -156,10 +160,9 @@ def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
 
     blocks = pick(phase, jnp.stack([blocks_of(p) for p in range(loop.count)]))
     blocks = blocks.reshape(2, loop.n, *blocks.shape[1:])
-    reading = loop.read(blocks, phase, wave[0], wave[1])
     count = jnp.zeros(zero.shape, jnp.int32)
     measures = no_measures(zero)._replace(events=no_events(phase)) if loop.observe else None
-    return Flight(blocks, phase, zero, zero, reading, count, count, measures)
+    return Flight(blocks, phase, zero, zero + 1, zero, count, count, count, measures)
 
 
 def leave(
@@ -196,24 +199,20 @@ def run(
     tolerance = jnp.maximum(loop.force.depth_tolerance, floor)
     loop.force = loop.force._replace(depth_tolerance=tolerance)
     flight = enter(loop, state)
-    first = loop.next_step(flight.reading, flight.phase, duration)
-    flight = flight._replace(step=jnp.broadcast_to(first, flight.time.shape))
-    longest = loop.force.longest_step
-    grid = jnp.ceil(duration / jnp.where(longest > 0, longest, 1.0))
-    budget = (target * jnp.clip(RETRIES * grid, RETRIES, 1e7)).astype(jnp.int32)
+    budget = jnp.broadcast_to(jnp.asarray(target * ROUNDS, jnp.int32), flight.rounds.shape)
 
     def live(flight: Flight) -> Bool[Array, "*lanes"]:
-        return (flight.finished < target) & (flight.attempts < budget)
+        return (flight.finished < target) & (flight.rounds < budget)
 
-    def attempt(flight: Flight, tick: Int[Array, ""]) -> Flight:
-        return loop.attempt(flight, live(flight), tick, duration)
+    def round_(flight: Flight, tick: Int[Array, ""]) -> Flight:
+        return loop.round(flight, live(flight), tick, duration)
 
     if max_attempts is None:
         flight, _ = lax.while_loop(
             lambda carry: jnp.any(live(carry[0])),
-            lambda carry: (attempt(*carry), carry[1] + 1),
+            lambda carry: (round_(*carry), carry[1] + 1),
             (flight, jnp.int32(0)),
         )
     else:
-        flight = replayed_while(lambda f: jnp.any(live(f)), attempt, flight, max_attempts)
+        flight = replayed_while(lambda f: jnp.any(live(f)), round_, flight, max_attempts)
     return flight

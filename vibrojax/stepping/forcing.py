@@ -16,6 +16,10 @@ from vibrojax.stepping.contact_phases import (
 from vibrojax.stepping.elementary import apply_matrix
 
 
+TOUCH = 1e-9
+"""Depth over the gap below which a stop is not touched."""
+
+
 class Forcing(NamedTuple):
     """Tables of one drive frequency, split into sine and cosine, and the settings of the march."""
 
@@ -36,7 +40,6 @@ def forcing(
     angular_frequency: Float[Array, "*#lanes"],
     start_phase: Float[Array, "*#lanes"],
     longest_step: Float[Array, "*#lanes"],
-    event_tolerance: Float[ArrayLike, "*#lanes"],
 ) -> Forcing:
     """Tabulate what a harmonic input Im(amplitude exp(i phase)) does in every phase."""
     stops, count = phases.num_stops, 2**phases.num_stops
@@ -61,7 +64,7 @@ def forcing(
         readout=read,
         change=change,
         longest_step=longest_step,
-        depth_tolerance=jnp.broadcast_to(event_tolerance * size, angular_frequency.shape),
+        depth_tolerance=jnp.broadcast_to(TOUCH * size, angular_frequency.shape),
     )
 
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from vibrojax._tools.trigonometry import cosine, sine
 from vibrojax.stepping.cubic import cubic_maximum
 
 MOST_EVENTS = 16
@@ -12,7 +13,10 @@ MOST_EVENTS = 16
 
 
 class Segment(NamedTuple):
-    """One accepted step, on which the response is a cubic: (start, end) of values and rates."""
+    """A step, on which the response is a cubic: (start, end) of values and rates.
+
+    All but what touches and changes may have a first axis of steps one after another.
+    """
 
     duration: Float[Array, "*lanes"]
     angle: Float[Array, "*lanes"]
@@ -91,26 +95,32 @@ class Measures(NamedTuple):
             return h / 2 * (f0 + f1) + h**2 / 12 * (g0 - g1)
 
         end = part.angle + part.angle_rate * h
-        s0, c0, s1, c1 = jnp.sin(part.angle), jnp.cos(part.angle), jnp.sin(end), jnp.cos(end)
+        s0, c0, s1, c1 = sine(part.angle), cosine(part.angle), sine(end), cosine(end)
         w = part.angle_rate
         square = integral(y0**2, 2 * y0 * v0, y1**2, 2 * y1 * v1)
-        sine = integral(y0 * s0, v0 * s0 + w * y0 * c0, y1 * s1, v1 * s1 + w * y1 * c1)
-        cosine = integral(y0 * c0, v0 * c0 - w * y0 * s0, y1 * c1, v1 * c1 - w * y1 * s1)
+        with_sine = integral(y0 * s0, v0 * s0 + w * y0 * c0, y1 * s1, v1 * s1 + w * y1 * c1)
+        with_cosine = integral(y0 * c0, v0 * c0 - w * y0 * s0, y1 * c1, v1 * c1 - w * y1 * s1)
 
         def plus(total, value):
+            value = jnp.sum(value, axis=0) if value.ndim > total.ndim else value
             return total + jnp.where(kept, value, 0)
+
+        def furthest(far, value, of):
+            value = of(value, axis=0) if value.ndim > far.ndim else value
+            return jnp.where(kept, of(jnp.stack([far, value]), axis=0), far)
 
         events = self.events
         if events is not None and part.changed is not None:
-            events = events.add(part.changed, end, kept)
+            last = end[-1] if end.ndim > kept.ndim else end
+            events = events.add(part.changed, last, kept)
         return Measures(
             time=plus(self.time, h),
-            highest=jnp.where(kept, jnp.maximum(self.highest, high), self.highest),
-            lowest=jnp.where(kept, jnp.minimum(self.lowest, low), self.lowest),
+            highest=furthest(self.highest, high, jnp.max),
+            lowest=furthest(self.lowest, low, jnp.min),
             integral_of_square=plus(self.integral_of_square, square),
-            integral_with_sine=plus(self.integral_with_sine, sine),
-            integral_with_cosine=plus(self.integral_with_cosine, cosine),
-            force=jnp.where(kept, jnp.maximum(self.force, part.force), self.force),
+            integral_with_sine=plus(self.integral_with_sine, with_sine),
+            integral_with_cosine=plus(self.integral_with_cosine, with_cosine),
+            force=furthest(self.force, part.force, jnp.max),
             contact_time=plus(self.contact_time, jnp.where(part.touches, h, 0.0)),
             contacts=plus(self.contacts, part.entries),
             events=events,

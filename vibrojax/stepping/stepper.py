@@ -193,7 +193,6 @@ class ExactMarch(AbstractMarch):
             angular_frequency,
             zero,
             step / measuring(self.tolerance) if observe else step,
-            self.tolerance / 2,
         )
         return exact_contact.march(self.phases, force, state, periods, observe=observe)
 

@@ -1,0 +1,368 @@
+"""How far ahead a lane is known to keep its contacts, and where it may change them next.
+
+Within a phase the depths at the stops are sums of decaying turns of frozen amplitudes, the drive
+one more of them. They are read on a coarse grid. Between two places a depth is no further from the
+cubic through values and slopes than its fourth derivative allows, which the amplitudes bound: where
+the highest coefficient of that bound (in Bernstein's form) is negative, no contact changes. The
+first interval in doubt is looked at eight times as finely, and the first doubtful part of it either
+holds one crossing for certain, to which the lane goes, or is looked at again from where it begins,
+finer still. So what a lane costs is its contacts, whatever their stiffness.
+
+Blocks are the second axis of all arrays here, after their two rows.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial, reduce
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from vibrojax.stepping.contact_phases import ContactPhases, spread
+from vibrojax.stepping.cubic import cubic_between
+from vibrojax.stepping.elementary import computed_once, pick
+from vibrojax.stepping.forcing import Forcing
+from vibrojax.stepping.turns import (
+    both,
+    product,
+    read_after,
+    slope_row,
+    turn_over,
+    turned,
+)
+
+lax = jax.lax
+
+Lane = Float[Array, "*#lanes"]
+Phase = Int[Array, "*#lanes"]
+Which = Bool[Array, "stops *#lanes"]
+Blocks = Float[Array, "2 blocks *#lanes"]
+Wave = Float[Array, "2 *#lanes"]
+Tick = Int[Array, ""]
+
+STEPS, LEAPS = 4, 8
+"""Places of the coarse grid: as many leaps, of as many steps. Powers of two."""
+LAST = STEPS * LEAPS - 1
+PARTS = 7
+"""In so many parts one of its intervals is looked at closely: one less than a power of two."""
+GRID = 0.21
+"""Longest interval, over 1 / lowest angular frequency of the phase."""
+SHAPE = 16 / 6
+"""Middle coefficient of 16 x^2 (1 - x)^2, the shape of a cubic's largest error, as a quartic."""
+SLOPE = 384 * 3**0.5 / 216
+"""Bound of the error of the cubic's slope over that of its value (Birkhoff and Priver, Hermite
+interpolation errors for derivatives, 1967)."""
+ROUGH, ROUND_OFF = 2e-6, 1e-14
+"""Rounding of what is read off the coarse grid and off its parts, over the amplitudes."""
+LANDING = 1e-3
+"""Longest way to a crossing that is gone by series, over 1 / the fastest rate of the phase."""
+FINEST = 8.0**-7
+"""Share of the usual grid at which a doubt is settled by the cubic itself."""
+
+
+class Sight(NamedTuple):
+    """What a lane is to do next."""
+
+    time: Float[Array, "*lanes"]
+    """How far to go, s; before that no contact changes."""
+    stop: Int[Array, "*lanes"]
+    """Stop that is expected to change its contact there; -1 for none."""
+    scale: Float[Array, "*lanes"]
+    """Grid to look on next, over the usual one."""
+
+
+class Outlook(eqx.Module):
+    """Signals of every phase, positive in contact, and what it takes to look ahead.
+
+    Signals are the depths; where a stop may not pull, the pushes follow, as depths. The drive is
+    the last block.
+    """
+
+    decay: Float[Array, "phases 2 blocks *lanes"]
+    rate: Float[Array, "phases blocks *lanes"]
+    speed: Float[Array, "phases blocks *lanes"]
+    """Size of the eigenvalues, 1/s."""
+    longest: Float[Array, "phases *lanes"]
+    """Interval of the usual grid, s."""
+    shortest: Float[Array, "phases *lanes"]
+    """Way to a crossing that is gone by series, s."""
+    rows: Float[Array, "phases 2 blocks derivatives signals *lanes"]
+    """Rows that read signals, their rates and accelerations."""
+    rest: Float[Array, "phases signals *lanes"]
+    sway: Float[Array, "phases signals *lanes"]
+    """What a drive in resonance may add in a second."""
+    pulls: bool = eqx.field(static=True)
+
+    def signed(self, phase: Phase, touching: Which) -> tuple[Array, Array]:
+        """Rows that read the signals and what they are at rest, positive where contact changes."""
+        sign = jnp.where(touching, -1.0, 1.0)
+        sign = sign if self.pulls else jnp.concatenate([sign, sign])
+        rest = pick(phase, self.rest) * sign
+        zero = jnp.zeros_like(rest)
+        return pick(phase, self.rows) * sign, jnp.stack([rest, zero, zero])
+
+    def read(self, blocks: Blocks, phase: Phase, touching: Which, wave: Wave) -> Array:
+        """Read signals and their first two derivatives."""
+        rows, rest = self.signed(phase, touching)
+        blocks = jnp.concatenate([blocks, wave[::-1][:, None]], axis=1)
+        return product(rows, blocks[:, :, None, None]) + rest
+
+    def breach(self, touching: Which, read: Float[Array, "kinds signals *#where"]) -> Array:
+        """Values and derivatives of what has to pass zero for a stop to change its contact."""
+        if self.pulls:
+            return read
+        depth, push = jnp.split(read, 2, axis=1)
+        # Contact begins with depth and push, and ends where the push does.
+        return jnp.where(touching | (push[:1] < depth[:1]), push, depth)
+
+    def look(
+        self,
+        blocks: Blocks,
+        phase: Phase,
+        touching: Which,
+        wave: Wave,
+        scale: Lane,
+        tolerance: Lane,
+        tick: Tick,
+    ) -> Sight:
+        """Look ahead from where lanes are; `wave` is sine and cosine of the drive phase."""
+        once = lambda f: computed_once(tick, f)  # noqa: E731
+        now = jnp.concatenate([blocks, wave[::-1][:, None]], axis=1)
+        decay, rate, speed = (pick(phase, a) for a in (self.decay, self.rate, self.speed))
+        step = pick(phase, self.longest) * scale
+        part = step / PARTS
+        sway = pick(phase, self.sway)
+
+        rows, rest = once(lambda: self.signed(phase, touching))
+        rows, rest = rows[:, :, :2], rest[:2]
+        # Turns over 1, 2, 4, ... parts, which together are a step, and over 1, 2, 4, ... steps.
+        of_parts = [once(lambda: turn_over(decay, rate, part))]
+        for _ in range(PARTS.bit_length() - 1):
+            of_parts.append(once(lambda: both(of_parts[-1], of_parts[-1])))
+        of_steps = [once(lambda: reduce(both, of_parts))]
+        for _ in range((STEPS * LEAPS).bit_length() - 2):
+            of_steps.append(once(lambda: both(of_steps[-1], of_steps[-1])))
+        of_leaps = of_steps[STEPS.bit_length() - 1 :]
+
+        # Largest amplitude of every block in every signal for as long as it is looked at.
+        def largest():
+            growth = jnp.exp(jnp.maximum(jnp.max(decay, axis=0), 0.0) * LAST * step)
+            size = jnp.sqrt(now[0] ** 2 + now[1] ** 2) * growth
+            return jnp.sqrt(rows[0, :, 0] ** 2 + rows[1, :, 0] ** 2) * size[:, None]
+
+        share = once(largest)
+
+        def errors():
+            turn, close = speed * step, (speed * part) ** 4 / 384
+            # However fast a block turns, the cubic through it is no higher than its ends make it.
+            far = jnp.minimum(turn**4 / 384, 2 + 0.3 * turn)
+            return [sum(share * kind[:, None]) for kind in (far, close, jnp.ones_like(far))]
+
+        far_error, close_error, size = once(errors)
+
+        # In single precision, whose rounding counts as height.
+        rough = _single((rows[:, :, None], now[:, :, None], rest, of_steps))
+        first_rows, start, first_rest, turns = rough
+        ahead = _doubled(read_after, turns[: -len(of_leaps)], first_rows, tick)
+        leaps = _doubled(turned, turns[-len(of_leaps) :], start, tick)
+
+        def read_grid():
+            read = product(ahead[:, :, None], leaps[:, :, :, None, None, None])
+            return read.reshape(-1, *read.shape[2:]) + first_rest
+
+        grid = once(read_grid)
+
+        def heights():
+            top = _bounds(grid, *_single((step, far_error))).top
+            return self._above(touching, top + _single(sway * LAST * step + ROUGH * size - tolerance))
+
+        above = once(heights)
+        interval = once(lambda: _first(above))
+        begun = interval * step
+
+        there = now
+        for power, turn in enumerate(of_steps):
+            there = once(partial(_where_bit, interval, power, turn, there))
+        there = _doubled(turned, of_parts, there[:, :, None], tick)
+        read = once(lambda: product(rows[:, :, None], there[:, :, :, None, None]) + rest)
+
+        def judge():
+            bounds = _bounds(read, part, close_error)
+            top = bounds.top + sway * (begun + 2 * step) - ROUND_OFF * size - tolerance
+            return self._above(touching, top), self._sure(touching, bounds)
+
+        above, sure = once(judge)
+
+        def decide():
+            found = _first(above)
+
+            def there(a):
+                # The last is taken where there is none: it is not looked at then.
+                chosen = a[PARTS - 1]
+                for k in range(PARTS - 1):
+                    chosen = jnp.where(found == k, a[k], chosen)
+                return chosen
+
+            f0, g0 = self.breach(touching, there(read[:-1]))
+            f1, g1 = self.breach(touching, there(read[1:]))
+            f0 = jnp.minimum(f0, 0.0)
+            crosses = f1 > tolerance
+            cubic = cubic_between(f0, g0 * part, f1, g1 * part)
+            secant = -f0 / jnp.where(crosses, f1 - f0, 1.0)
+            place = jnp.where(crosses, cubic.root(guess=jnp.clip(secant, 0.02, 0.98), rounds=5), 2.0)
+            first = jnp.min(place, axis=0)
+            settled = scale <= FINEST
+            doubt = there(above) & ~(crosses & there(sure))
+            doubt = jnp.any(doubt, axis=0) & ~settled & (found < PARTS)
+            # Without a crossing the part in question has been settled by its cubic.
+            parts_clear = found + jnp.where(doubt, 0.0, jnp.where(found < PARTS, jnp.minimum(first, 1.0), 0.0))
+            time = jnp.where(interval < LAST, begun + parts_clear * part, begun)
+            expected = (interval < LAST) & (found < PARTS) & ~doubt & (first < 2.0)
+            stop = jnp.where(expected, jnp.argmin(place, axis=0), -1)
+            doubt = doubt & (interval < LAST)
+            finer = jnp.where(doubt, jnp.maximum(scale / 8, FINEST), jnp.minimum(2 * scale, 1.0))
+            return Sight(time, stop.astype(jnp.int32), finer)
+
+        return once(decide)
+
+    def _above(self, touching: Which, top: Array) -> Bool[Array, "places stops *lanes"]:
+        """Whether a stop may change its contact, from the highest that its signals may be."""
+        if self.pulls:
+            return top > 0
+        depth, push = jnp.split(top > 0, 2, axis=1)
+        return push & (touching | depth)
+
+    def _sure(self, touching: Which, bounds: "_Bounds") -> Bool[Array, "places stops *lanes"]:
+        """Whether a stop changes its contact once at the most."""
+        if self.pulls:
+            return bounds.rises
+        depth, push = jnp.split(bounds.rises, 2, axis=1)
+        depth_stays, push_stays = jnp.split(bounds.bottom > 0, 2, axis=1)
+        flight = (depth | depth_stays) & (push | push_stays)
+        return jnp.where(touching, push, flight)
+
+
+class _Bounds(NamedTuple):
+    top: Float[Array, "places signals *lanes"]
+    bottom: Float[Array, "places signals *lanes"]
+    rises: Bool[Array, "places signals *lanes"]
+
+
+def _bounds(read: Array, step: Lane, error: Array) -> _Bounds:
+    """Bounds of signals on the intervals between places, from values and slopes there."""
+    value, slope = read[:, 0], read[:, 1] * (step / 3)
+    b0, b3 = value[:-1], value[1:]
+    b1, b2 = b0 + slope[:-1], b3 - slope[1:]
+    early, late, middle = (b0 + 3 * b1) / 4, (3 * b2 + b3) / 4, (b1 + b2) / 2
+    ends = jnp.maximum(early, late), jnp.minimum(early, late)
+    top = jnp.maximum(jnp.maximum(ends[0], middle + SHAPE * error), b3)
+    bottom = jnp.minimum(jnp.minimum(ends[1], middle - SHAPE * error), jnp.minimum(b0, b3))
+    rise = jnp.minimum(jnp.minimum(b1 - b0, b2 - b1), b3 - b2)
+    return _Bounds(top, bottom, 3 * rise > SLOPE * error)
+
+
+def _doubled(
+    after: Callable[[Array, Array], Array], turns: Sequence[Array], first: Array, tick: Tick
+) -> Array:
+    """Put behind what is along the third axis the same, turned further: once for every turn."""
+
+    def further(turn, found):
+        turn = turn.reshape(*turn.shape[:2], *(1,) * (found.ndim - turn.ndim), *turn.shape[2:])
+        return jnp.concatenate([found, after(turn, found)], axis=2)
+
+    for turn in turns:
+        first = computed_once(tick, partial(further, turn, first))
+    return first
+
+
+def _first(above: Bool[Array, "places stops *lanes"]) -> Int[Array, "*lanes"]:
+    """Index of the first place with any stop; their number where there is none."""
+    found = jnp.full(above.shape[2:], len(above), jnp.int32)
+    for k in reversed(range(len(above))):
+        found = jnp.where(jnp.any(above[k], axis=0), k, found)
+    return found
+
+
+def _where_bit(count: Array, power: int, turn: Array, blocks: Array) -> Array:
+    """Turn blocks where a bit of a count is set."""
+    return jnp.where((count >> power) & 1 == 1, turned(turn, blocks), blocks)
+
+
+def _single(numbers: Any) -> Any:
+    return jax.tree.map(lambda a: a.astype(jnp.float32), numbers)
+
+
+def outlook_of(phases: ContactPhases, force: Forcing) -> Outlook:
+    """Tabulate the signals of a drive."""
+    w, lanes = force.angular_frequency, force.angular_frequency.ndim
+    decay = spread(phases.exponent, 3, lanes) + jnp.zeros_like(w)
+    rate = spread(phases.rate, 2, lanes) + jnp.zeros_like(w)
+    # The drive turns too, and never decays.
+    decay = jnp.concatenate([decay, jnp.zeros_like(decay[:, :, :1])], axis=2)
+    rate = jnp.concatenate([rate, jnp.broadcast_to(w, rate[:, :1].shape)], axis=1)
+    # What says how far to look has no derivative of its own.
+    speed = jnp.sqrt(jnp.max(lax.stop_gradient(decay) ** 2, axis=1) + lax.stop_gradient(rate) ** 2)
+    value, rest, wave = _signals(phases, force)
+    blocks = value.reshape(*value.shape[:2], 2, -1, *w.shape)
+    driven = force.driven.reshape(force.driven.shape[0], 2, -1, *w.shape)
+    # Blocks turn: what goes into one row of them comes to be read by the other.
+    size, push = (
+        jnp.sqrt(jnp.sum(jnp.abs(lax.stop_gradient(a)) ** 2, axis=-2 - w.ndim))
+        for a in (blocks, driven)
+    )
+    row = jnp.concatenate([jnp.moveaxis(blocks, 1, 3), _of_wave(wave)[:, :, None]], axis=2)
+    rows = [row]
+    for _ in range(2):
+        # What a drive in resonance adds to a block counts in the next derivative.
+        structure = row[:, :, :-1].reshape(len(row), -1, *row.shape[3:])
+        added = _of_wave(jnp.sum(structure * force.driven[:, :, None], axis=1))
+        row = jnp.stack(
+            [slope_row(a[:, :, None], b[:, None], r) for a, b, r in zip(decay, rate, row, strict=True)]
+        )
+        row = row.at[:, :, -1].add(added)
+        rows.append(row)
+    slowest = jnp.maximum(jnp.min(speed[:, :-1], axis=1), w)
+    return Outlook(
+        decay=decay,
+        rate=rate,
+        speed=speed,
+        longest=GRID / slowest,
+        shortest=LANDING / jnp.max(speed, axis=1),
+        rows=jnp.stack(rows, axis=3),
+        rest=rest,
+        sway=jnp.sum(size * push[:, None], axis=2),
+        pulls=all(phases.can_pull),
+    )
+
+
+def _of_wave(wave: Array) -> Array:
+    """Rows by which the drive, as a block (cosine, sine), reads a wave."""
+    return jnp.stack([wave.imag, wave.real], axis=1)
+
+
+def _signals(phases: ContactPhases, force: Forcing) -> tuple[Array, Array, Array]:
+    """Rows that read depths, then pushes as depths where any stop may not pull; rest; drive."""
+    k, lanes = phases.num_stops, force.angular_frequency.ndim
+    wide = jnp.zeros_like(force.angular_frequency)
+    rows = spread(phases.readout, 3, lanes)[:, : 2 * k] + wide
+    rest = spread(phases.readout_rest, 2, lanes)[:, : 2 * k] + wide
+    wave = force.readout[:, : 2 * k]
+    if all(phases.can_pull):
+        return rows[:, :k], rest[:, :k], wave[:, :k]
+    stiffness, damping = spread(phases.stiffness, 1, lanes), spread(phases.damping, 1, lanes)
+    unit = stiffness + damping * force.angular_frequency
+    pushes = (unit > 0) & ~np.reshape(phases.can_pull, (k,) + (1,) * lanes)
+    safe = jnp.where(unit > 0, unit, 1.0)
+    hold, drag = jnp.where(pushes, stiffness / safe, 1.0), jnp.where(pushes, damping / safe, 0.0)
+
+    def with_push(depth, speed, hold, drag):
+        return jnp.concatenate([depth, hold * depth + drag * speed], axis=1)
+
+    return (
+        with_push(rows[:, :k], rows[:, k:], hold[:, None], drag[:, None]),
+        with_push(rest[:, :k], rest[:, k:], hold, drag),
+        with_push(wave[:, :k], wave[:, k:], hold, drag),
+    )

@@ -1,0 +1,82 @@
+"""What a time does to the blocks of a phase: turns with decay, or two exponentials.
+
+A turn is the matrix [[p, -q], [q, r]] of every block, kept as (p, r, q) along its first axis; turns
+of a block commute, and powers of one are those of later times.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from vibrojax._tools.trigonometry import cosine, sine
+
+Turns = Float[Array, "3 *#shape"]
+Rows = Float[Array, "2 *#shape"]
+
+
+def turn_over(
+    decay: Float[Array, "2 blocks *#lanes"],
+    rate: Float[Array, "blocks *#lanes"],
+    time: Float[Array, "*#lanes"],
+) -> Float[Array, "3 blocks *lanes"]:
+    """Turns over a time, s. Real pairs have rate 0, and each row its own exponent."""
+    growth, angle = jnp.exp(decay * time), rate * time
+    c, s = cosine(angle), sine(angle)
+    return jnp.stack([growth[0] * c, growth[1] * c, growth[0] * s])
+
+
+def short_turn(
+    decay: Float[Array, "2 blocks *#lanes"],
+    rate: Float[Array, "blocks *#lanes"],
+    time: Float[Array, "*#lanes"],
+) -> Float[Array, "3 blocks *lanes"]:
+    """The same, for times of at most a thousandth of every block's own: by series."""
+    a, b = decay * time, rate * time
+    growth = 1 + a * (1 + a / 2 * (1 + a / 3))
+    c, s = 1 - b * b / 2, b * (1 - b * b / 6)
+    return jnp.stack([growth[0] * c, growth[1] * c, growth[0] * s])
+
+
+def both(first: Turns, second: Turns) -> Turns:
+    """One turn after another."""
+    (p, r, q), (p2, r2, q2) = first, second
+    return jnp.stack([p * p2 - q * q2, r * r2 - q * q2, q * p2 + r * q2])
+
+
+def powers(
+    turn: Float[Array, "3 blocks *lanes"], count: int
+) -> Float[Array, "3 blocks count *lanes"]:
+    """The turn once, twice, ... as often as `count`, a power of two."""
+    found = turn[:, :, None]
+    while found.shape[2] < count:
+        found = jnp.concatenate([found, both(found, found[:, :, -1:])], axis=2)
+    return found
+
+
+def turned(turn: Turns, blocks: Rows) -> Rows:
+    """Block coordinates after a turn."""
+    (p, r, q), (x, y) = turn, blocks
+    return jnp.stack([p * x - q * y, q * x + r * y])
+
+
+def read_after(turn: Turns, row: Rows) -> Rows:
+    """Row that reads of the block coordinates now what `row` will read after a turn."""
+    (p, r, q), (x, y) = turn, row
+    return jnp.stack([p * x + q * y, r * y - q * x])
+
+
+def slope_row(
+    decay: Float[Array, "2 *#shape"], rate: Float[Array, "*#shape"], row: Rows
+) -> Float[Array, "2 *shape"]:
+    """Row that reads the rate of what `row` reads, in free motion."""
+    x, y = row
+    return jnp.stack([x * decay[0] + y * rate, y * decay[1] - x * rate])
+
+
+def product(
+    rows: Float[Array, "2 blocks *#shape"], blocks: Float[Array, "2 blocks *#shape"]
+) -> Float[Array, "*shape"]:
+    """Sum over blocks and their two rows: one fused loop, where a reduction is not vectorised."""
+    total = rows[0, 0] * blocks[0, 0] + rows[1, 0] * blocks[1, 0]
+    for i in range(1, rows.shape[1]):
+        total = total + rows[0, i] * blocks[0, i] + rows[1, i] * blocks[1, i]
+    return total
