@@ -1,6 +1,7 @@
 """The loop of exact contact: every lane from one change of contact to the next, at its own pace."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.measures import Measures, Segment
 from vibrojax.stepping.outlook import Sight, outlook_of
 from vibrojax.stepping.resonance import driven_growth
-from vibrojax.stepping.turns import powers, product, short_turn, turn_over, turned
+from vibrojax.stepping.turns import doubled, product, short_turn, squares, turn_over, turned
 
 lax = jax.lax
 
@@ -26,6 +27,7 @@ Whether = Bool[Array, "*#lanes"]
 Blocks = Float[Array, "2 blocks *#shape"]
 Which = Bool[Array, "stops *#lanes"]
 Wave = Float[Array, "2 *#shape"]
+Tick = Int[Array, ""]
 
 CELLS = 64
 """Steps of equal length in which a flight is measured; a power of two."""
@@ -116,8 +118,8 @@ class ContactLoop:
 
         return where_needed(self.resonant, add, blocks)
 
-    def round(self, flight: Flight, live: Whether, tick: Int[Array, ""], until: Number) -> Flight:
-        """Take every live lane to its next change of contact, or to the time at which its run ends."""
+    def round(self, flight: Flight, live: Whether, tick: Tick, until: Number) -> Flight:
+        """Take live lanes to their next change of contact, or to the time at which a run ends."""
         once = lambda f: computed_once(tick, f)  # noqa: E731
         phase, left = flight.phase, until - flight.time
         touching = self.touching(phase)
@@ -141,7 +143,7 @@ class ContactLoop:
         done = kept & whole & ~flips
         measures = flight.measures
         if measures is not None:
-            segment = once(lambda: self.segment(flight, touching, span + landing.late, landing.stop))
+            segment = self.segment(flight, touching, span + landing.late, landing.stop, tick)
             measures = measures.add(segment, kept)
         return Flight(
             blocks=jnp.where(kept, blocks, flight.blocks),
@@ -155,7 +157,7 @@ class ContactLoop:
             measures=measures,
         )
 
-    def look(self, flight: Flight, touching: Which, tick: Int[Array, ""]) -> Sight:
+    def look(self, flight: Flight, touching: Which, tick: Tick) -> Sight:
         """How far a lane may go, or is to go to land on a crossing."""
         time, stop = jnp.full_like(flight.scale, jnp.inf), jnp.full_like(flight.phase, -1)
         sight = Sight(time, stop, flight.scale)
@@ -222,35 +224,48 @@ class ContactLoop:
         return pick(stop, pick(phase, rows)).reshape(landed.shape)
 
     def segment(
-        self, flight: Flight, touching: Which, duration: Number, stop: Phase
+        self, flight: Flight, touching: Which, duration: Number, stop: Phase, tick: Tick
     ) -> Segment:
         """What the measures see of a flight, in steps of equal length along the first axis."""
         k, phase = self.stops, flight.phase
         cell = duration / CELLS
-        turn = turn_over(pick(phase, self.exponent), pick(phase, self.rate), cell)
+        decay, rate = pick(phase, self.exponent), pick(phase, self.rate)
+        turn = computed_once(tick, lambda: turn_over(decay, rate, cell))
+        turns = squares(turn, CELLS.bit_length(), tick)
+        first = flight.blocks[:, :, None]
+        end = turned(turns[-1], flight.blocks)[:, :, None]
+        blocks = jnp.concatenate([doubled(turned, turns[:-1], first, tick), end], axis=2)
         share = np.arange(CELLS + 1).reshape((-1,) + (1,) * self.lanes)
-        blocks = turned(powers(turn, CELLS), flight.blocks[:, :, None])
-        blocks = self.pushed(blocks, phase, flight.time, share[1:] * cell)
-        blocks = jnp.concatenate([flight.blocks[:, :, None], blocks], axis=2)
-        sine, cosine_ = self.phasor(flight.time + share * cell)
-        rows = pick(phase, spread(self.phases.readout, 3, self.lanes))
-        rows = jnp.moveaxis(rows.reshape(rows.shape[0], 2, self.n, *rows.shape[2:]), 0, 2)
-        rest = pick(phase, spread(self.phases.readout_rest, 2, self.lanes))[:, None]
-        wave = pick(phase, self.force.readout)[:, None]
-        read = product(rows[:, :, :, None], blocks[:, :, None]) + rest
-        read = read + wave.real * sine + wave.imag * cosine_
+        blocks = self.pushed(blocks, phase, flight.time, share * cell)
+
+        def read_all():
+            rows = pick(phase, spread(self.phases.readout, 3, self.lanes))
+            rows = jnp.moveaxis(rows.reshape(rows.shape[0], 2, self.n, *rows.shape[2:]), 0, 2)
+            return product(rows[:, :, :, None], blocks[:, :, None])
+
+        def add_wave(read):
+            sine, cosine_ = self.phasor(flight.time + share * cell)
+            rest = pick(phase, spread(self.phases.readout_rest, 2, self.lanes))[:, None]
+            wave = pick(phase, self.force.readout)[:, None]
+            return read + rest + wave.real * sine + wave.imag * cosine_
+
+        read = computed_once(tick, partial(add_wave, computed_once(tick, read_all)))
         depth, speed, acceleration = read[:k], read[k : 2 * k], read[2 * k : 3 * k]
         stiffness, damping = (
             spread(a, 1, self.lanes)[:, None] for a in (self.phases.stiffness, self.phases.damping)
         )
-        force, change = stiffness * depth + damping * speed, stiffness * speed + damping * acceleration
+        force, change = (
+            stiffness * depth + damping * speed,
+            stiffness * speed + damping * acceleration,
+        )
         ends = slice(None, -1), slice(1, None)
         first, last = ((force[:, end], change[:, end] * cell) for end in ends)
         peak = jnp.where(touching[:, None], cubic_maximum(*first, *last), 0.0)
         changed = stop == self.numbers
         return Segment(
             duration=jnp.broadcast_to(cell, peak.shape[1:]),
-            angle=self.force.start_phase + self.force.angular_frequency * (flight.time + share[:-1] * cell),
+            angle=self.force.start_phase
+            + self.force.angular_frequency * (flight.time + share[:-1] * cell),
             angle_rate=self.force.angular_frequency,
             response=(read[3 * k, :-1], read[3 * k, 1:]),
             response_rate=(read[3 * k + 1, :-1], read[3 * k + 1, 1:]),

@@ -15,7 +15,6 @@ from vibrojax.stepping.contact_phases import (
 )
 from vibrojax.stepping.elementary import apply_matrix
 
-
 TOUCH = 1e-9
 """Depth over the gap below which a stop is not touched."""
 

@@ -11,7 +11,6 @@ finer still. So what a lane costs is its contacts, whatever their stiffness.
 Blocks are the second axis of all arrays here, after their two rows.
 """
 
-from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from typing import Any, NamedTuple
 
@@ -27,9 +26,11 @@ from vibrojax.stepping.elementary import computed_once, pick
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.turns import (
     both,
+    doubled,
     product,
     read_after,
     slope_row,
+    squares,
     turn_over,
     turned,
 )
@@ -131,100 +132,69 @@ class Outlook(eqx.Module):
         """Look ahead from where lanes are; `wave` is sine and cosine of the drive phase."""
         once = lambda f: computed_once(tick, f)  # noqa: E731
         now = jnp.concatenate([blocks, wave[::-1][:, None]], axis=1)
-        decay, rate, speed = (pick(phase, a) for a in (self.decay, self.rate, self.speed))
+        decay, rate, sway = (pick(phase, a) for a in (self.decay, self.rate, self.sway))
         step = pick(phase, self.longest) * scale
         part = step / PARTS
-        sway = pick(phase, self.sway)
-
         rows, rest = once(lambda: self.signed(phase, touching))
         rows, rest = rows[:, :, :2], rest[:2]
-        # Turns over 1, 2, 4, ... parts, which together are a step, and over 1, 2, 4, ... steps.
-        of_parts = [once(lambda: turn_over(decay, rate, part))]
-        for _ in range(PARTS.bit_length() - 1):
-            of_parts.append(once(lambda: both(of_parts[-1], of_parts[-1])))
-        of_steps = [once(lambda: reduce(both, of_parts))]
-        for _ in range((STEPS * LEAPS).bit_length() - 2):
-            of_steps.append(once(lambda: both(of_steps[-1], of_steps[-1])))
-        of_leaps = of_steps[STEPS.bit_length() - 1 :]
+        of_parts, of_steps = _turns(decay, rate, part, tick)
 
-        # Largest amplitude of every block in every signal for as long as it is looked at.
         def largest():
             growth = jnp.exp(jnp.maximum(jnp.max(decay, axis=0), 0.0) * LAST * step)
             size = jnp.sqrt(now[0] ** 2 + now[1] ** 2) * growth
             return jnp.sqrt(rows[0, :, 0] ** 2 + rows[1, :, 0] ** 2) * size[:, None]
 
-        share = once(largest)
+        # Of every block in every signal for as long as it is looked at.
+        amplitude = once(largest)
+        errors = once(lambda: _errors(amplitude, pick(phase, self.speed) * step))
+        grid = once(lambda: _grid(_single((rows, now, rest, of_steps)), tick))
 
-        def errors():
-            turn, close = speed * step, (speed * part) ** 4 / 384
-            # However fast a block turns, the cubic through it is no higher than its ends make it.
-            far = jnp.minimum(turn**4 / 384, 2 + 0.3 * turn)
-            return [sum(share * kind[:, None]) for kind in (far, close, jnp.ones_like(far))]
+        def coarse():
+            bounds = _bounds(grid, *_single((step, errors.cubic)))
+            more = sway * LAST * step + errors.flat + ROUGH * errors.size - tolerance
+            return self._above(touching, bounds.top + _single(more))
 
-        far_error, close_error, size = once(errors)
-
-        # In single precision, whose rounding counts as height.
-        rough = _single((rows[:, :, None], now[:, :, None], rest, of_steps))
-        first_rows, start, first_rest, turns = rough
-        ahead = _doubled(read_after, turns[: -len(of_leaps)], first_rows, tick)
-        leaps = _doubled(turned, turns[-len(of_leaps) :], start, tick)
-
-        def read_grid():
-            read = product(ahead[:, :, None], leaps[:, :, :, None, None, None])
-            return read.reshape(-1, *read.shape[2:]) + first_rest
-
-        grid = once(read_grid)
-
-        def heights():
-            top = _bounds(grid, *_single((step, far_error))).top
-            return self._above(touching, top + _single(sway * LAST * step + ROUGH * size - tolerance))
-
-        above = once(heights)
+        above = once(coarse)
         interval = once(lambda: _first(above))
-        begun = interval * step
-
-        there = now
+        begun, there = interval * step, now
         for power, turn in enumerate(of_steps):
             there = once(partial(_where_bit, interval, power, turn, there))
-        there = _doubled(turned, of_parts, there[:, :, None], tick)
+        there = doubled(turned, of_parts, there[:, :, None], tick)
         read = once(lambda: product(rows[:, :, None], there[:, :, :, None, None]) + rest)
 
-        def judge():
-            bounds = _bounds(read, part, close_error)
-            top = bounds.top + sway * (begun + 2 * step) - ROUND_OFF * size - tolerance
-            return self._above(touching, top), self._sure(touching, bounds)
+        def close():
+            bounds = _bounds(read, part, errors.cubic_of_parts)
+            more = sway * (begun + 2 * step) - ROUND_OFF * errors.size - tolerance
+            return self._above(touching, bounds.top + more), self._sure(touching, bounds)
 
-        above, sure = once(judge)
+        above_there, sure = once(close)
 
         def decide():
-            found = _first(above)
-
-            def there(a):
-                # The last is taken where there is none: it is not looked at then.
-                chosen = a[PARTS - 1]
-                for k in range(PARTS - 1):
-                    chosen = jnp.where(found == k, a[k], chosen)
-                return chosen
-
-            f0, g0 = self.breach(touching, there(read[:-1]))
-            f1, g1 = self.breach(touching, there(read[1:]))
-            f0 = jnp.minimum(f0, 0.0)
-            crosses = f1 > tolerance
+            found = _first(above_there)
+            doubtful = (interval < LAST) & (found < PARTS)
+            start, end, may, once_only = (
+                # Where there is none the last is taken, which nobody looks at then.
+                pick(jnp.minimum(found, PARTS - 1), a)
+                for a in (read[:-1], read[1:], above_there, sure)
+            )
+            f0, g0 = self.breach(touching, start)
+            f1, g1 = self.breach(touching, end)
+            f0, crosses = jnp.minimum(f0, 0.0), f1 > tolerance
+            secant = jnp.clip(-f0 / jnp.where(crosses, f1 - f0, 1.0), 0.02, 0.98)
             cubic = cubic_between(f0, g0 * part, f1, g1 * part)
-            secant = -f0 / jnp.where(crosses, f1 - f0, 1.0)
-            place = jnp.where(crosses, cubic.root(guess=jnp.clip(secant, 0.02, 0.98), rounds=5), 2.0)
+            place = jnp.where(crosses, cubic.root(guess=secant, rounds=5), jnp.inf)
             first = jnp.min(place, axis=0)
-            settled = scale <= FINEST
-            doubt = there(above) & ~(crosses & there(sure))
-            doubt = jnp.any(doubt, axis=0) & ~settled & (found < PARTS)
-            # Without a crossing the part in question has been settled by its cubic.
-            parts_clear = found + jnp.where(doubt, 0.0, jnp.where(found < PARTS, jnp.minimum(first, 1.0), 0.0))
-            time = jnp.where(interval < LAST, begun + parts_clear * part, begun)
-            expected = (interval < LAST) & (found < PARTS) & ~doubt & (first < 2.0)
-            stop = jnp.where(expected, jnp.argmin(place, axis=0), -1)
-            doubt = doubt & (interval < LAST)
-            finer = jnp.where(doubt, jnp.maximum(scale / 8, FINEST), jnp.minimum(2 * scale, 1.0))
-            return Sight(time, stop.astype(jnp.int32), finer)
+            settled = ~jnp.any(may & ~(crosses & once_only), axis=0) | (scale <= FINEST)
+            # Cleared up to the crossing, or all of a part in which there is none after all.
+            share = jnp.where(settled, jnp.minimum(first, 1.0), 0.0)
+            clear = jnp.where(doubtful, found + share, jnp.where(interval < LAST, PARTS, 0.0))
+            expected = doubtful & settled & jnp.isfinite(first)
+            again = doubtful & ~settled
+            return Sight(
+                time=begun + clear * part,
+                stop=jnp.where(expected, jnp.argmin(place, axis=0), -1).astype(jnp.int32),
+                scale=jnp.where(again, jnp.maximum(scale / 8, FINEST), jnp.minimum(2 * scale, 1.0)),
+            )
 
         return once(decide)
 
@@ -245,6 +215,46 @@ class Outlook(eqx.Module):
         return jnp.where(touching, push, flight)
 
 
+class _Errors(NamedTuple):
+    """How far signals may be from the cubics through them, by signal and lane."""
+
+    cubic: Float[Array, "signals *lanes"]
+    """At the middle of an interval, falling off towards its ends as the error of a cubic does."""
+    cubic_of_parts: Float[Array, "signals *lanes"]
+    flat: Float[Array, "signals *lanes"]
+    """Anywhere in an interval, of blocks that turn too far in it."""
+    size: Float[Array, "signals *lanes"]
+    """What rounding is a share of."""
+
+
+def _errors(amplitude: Float[Array, "blocks signals *lanes"], turn: Array) -> _Errors:
+    """Bounds from the largest amplitudes and the turns over an interval, rad."""
+    cubic, of_parts = turn**4 / 384, (turn / PARTS) ** 4 / 384
+    # However fast a block turns, the cubic through it is no higher than its ends make it.
+    flat = 2 + 0.3 * turn
+    slow = SHAPE * cubic <= flat
+    kinds = jnp.where(slow, cubic, 0.0), of_parts, jnp.where(slow, 0.0, flat), 1 + turn
+    return _Errors(*(sum(amplitude * kind[:, None]) for kind in kinds))
+
+
+def _turns(decay: Array, rate: Array, part: Lane, tick: Tick) -> tuple[list[Array], list[Array]]:
+    """Turns over 1, 2, 4, ... parts, which together are a step, and over 1, 2, 4, ... steps."""
+    turn = computed_once(tick, lambda: turn_over(decay, rate, part))
+    of_parts = squares(turn, (PARTS + 1).bit_length() - 1, tick)
+    turn = computed_once(tick, lambda: reduce(both, of_parts))
+    return of_parts, squares(turn, (STEPS * LEAPS).bit_length() - 1, tick)
+
+
+def _grid(numbers: tuple[Array, Array, Array, list[Array]], tick: Tick) -> Array:
+    """Read signals and slopes at all places of the coarse grid."""
+    rows, blocks, rest, of_steps = numbers
+    leap = STEPS.bit_length() - 1
+    ahead = doubled(read_after, of_steps[:leap], rows[:, :, None], tick)
+    leaps = doubled(turned, of_steps[leap:], blocks[:, :, None], tick)
+    read = product(ahead[:, :, None], leaps[:, :, :, None, None, None])
+    return read.reshape(-1, *read.shape[2:]) + rest
+
+
 class _Bounds(NamedTuple):
     top: Float[Array, "places signals *lanes"]
     bottom: Float[Array, "places signals *lanes"]
@@ -262,20 +272,6 @@ def _bounds(read: Array, step: Lane, error: Array) -> _Bounds:
     bottom = jnp.minimum(jnp.minimum(ends[1], middle - SHAPE * error), jnp.minimum(b0, b3))
     rise = jnp.minimum(jnp.minimum(b1 - b0, b2 - b1), b3 - b2)
     return _Bounds(top, bottom, 3 * rise > SLOPE * error)
-
-
-def _doubled(
-    after: Callable[[Array, Array], Array], turns: Sequence[Array], first: Array, tick: Tick
-) -> Array:
-    """Put behind what is along the third axis the same, turned further: once for every turn."""
-
-    def further(turn, found):
-        turn = turn.reshape(*turn.shape[:2], *(1,) * (found.ndim - turn.ndim), *turn.shape[2:])
-        return jnp.concatenate([found, after(turn, found)], axis=2)
-
-    for turn in turns:
-        first = computed_once(tick, partial(further, turn, first))
-    return first
 
 
 def _first(above: Bool[Array, "places stops *lanes"]) -> Int[Array, "*lanes"]:
@@ -320,7 +316,10 @@ def outlook_of(phases: ContactPhases, force: Forcing) -> Outlook:
         structure = row[:, :, :-1].reshape(len(row), -1, *row.shape[3:])
         added = _of_wave(jnp.sum(structure * force.driven[:, :, None], axis=1))
         row = jnp.stack(
-            [slope_row(a[:, :, None], b[:, None], r) for a, b, r in zip(decay, rate, row, strict=True)]
+            [
+                slope_row(a[:, :, None], b[:, None], r)
+                for a, b, r in zip(decay, rate, row, strict=True)
+            ]
         )
         row = row.at[:, :, -1].add(added)
         rows.append(row)

@@ -10,6 +10,7 @@ from vibrojax._tools.trigonometry import cosine
 from vibrojax._tools.types import AnyArray
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
 from vibrojax.stepping.resonance import driven_growth
+from vibrojax.stepping.turns import turn_over, turned
 
 Stops = Float[Array, "*#stops"]
 EveryStop = Float[Array, "*stops"]
@@ -29,10 +30,8 @@ def free_blocks(
 
     Real pairs have rate 0: cosine 1, sine 0, each row with its own exponent.
     """
-    growth, angle = jnp.exp(decay * time), rate * time
-    c, s = cosine(angle), cosine(angle - np.pi / 2)
-    top, bottom = jnp.split(blocks, 2)
-    return jnp.concatenate([growth[0] * (c * top - s * bottom), growth[1] * (s * top + c * bottom)])
+    turn = turn_over(decay, rate, jnp.asarray(time))
+    return jnp.concatenate(list(turned(turn, jnp.stack(jnp.split(blocks, 2)))))
 
 
 def driven_blocks(

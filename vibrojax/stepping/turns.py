@@ -4,12 +4,17 @@ A turn is the matrix [[p, -q], [q, r]] of every block, kept as (p, r, q) along i
 of a block commute, and powers of one are those of later times.
 """
 
+from collections.abc import Callable, Sequence
+from functools import partial
+
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from vibrojax._tools.trigonometry import cosine, sine
+from vibrojax.stepping.elementary import computed_once
 
 Turns = Float[Array, "3 *#shape"]
+Tick = Int[Array, ""]
 Rows = Float[Array, "2 *#shape"]
 
 
@@ -42,14 +47,26 @@ def both(first: Turns, second: Turns) -> Turns:
     return jnp.stack([p * p2 - q * q2, r * r2 - q * q2, q * p2 + r * q2])
 
 
-def powers(
-    turn: Float[Array, "3 blocks *lanes"], count: int
-) -> Float[Array, "3 blocks count *lanes"]:
-    """The turn once, twice, ... as often as `count`, a power of two."""
-    found = turn[:, :, None]
-    while found.shape[2] < count:
-        found = jnp.concatenate([found, both(found, found[:, :, -1:])], axis=2)
+def squares(turn: Turns, count: int, tick: Tick) -> list[Turns]:
+    """The turn once, twice, four times, ...: as many of them as `count`."""
+    found = [turn]
+    for _ in range(count - 1):
+        found.append(computed_once(tick, partial(both, found[-1], found[-1])))
     return found
+
+
+def doubled(
+    after: Callable[[Array, Array], Array], turns: Sequence[Array], first: Array, tick: Tick
+) -> Array:
+    """Put behind what is along the third axis the same, turned further: once for every turn."""
+
+    def further(turn, found):
+        turn = turn.reshape(*turn.shape[:2], *(1,) * (found.ndim - turn.ndim), *turn.shape[2:])
+        return jnp.concatenate([found, after(turn, found)], axis=2)
+
+    for turn in turns:
+        first = computed_once(tick, partial(further, turn, first))
+    return first
 
 
 def turned(turn: Turns, blocks: Rows) -> Rows:
