@@ -25,10 +25,10 @@ from vibrojax.steady.contact_times import (
     follow_events,
     tables_of,
 )
-from vibrojax.steady.orbit_reading import Reading, keeps_to_events, read_motion, state_at
+from vibrojax.steady.orbit_reading import state_at
 from vibrojax.steady.settling import NEAR, is_stable
 from vibrojax.stepping.contact_phases import ContactPhases, may_resonate
-from vibrojax.stepping.measures import MOST_EVENTS, EventLog, Measures
+from vibrojax.stepping.measures import MOST_EVENTS, EventLog
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 
 lax = jax.lax
@@ -51,6 +51,10 @@ FARTHEST = 3.0
 CLOSE = 0.1
 """Drive angle (rad) between the section and a change of contact below which the section moves."""
 TURN = 2 * np.pi
+RETURNED = 1e-7
+"""How near a motion has to come back to itself."""
+EDGE = 1e-6
+"""Drive angle, rad, that is as good as phase 0."""
 
 
 class Track(NamedTuple):
@@ -288,30 +292,6 @@ def _advanced(lane: _Lane, track: Track, w: Array) -> tuple[Track, Followed]:
     return new, Followed(good, at_start, found.rounds)
 
 
-def _read(lane: _Lane, track: Track) -> tuple[Bool[Array, ""], Measures]:
-    """Whether the newest motion of a track keeps to its contacts, and its measures."""
-    events, w = track.events, track.frequency[0]
-    motion = lane.follow(events, w, track.state[0], track.times[0], push=False)
-    tables = lane.tables(w)
-    reading = read_motion(tables, events, motion, 1, events.number)
-    return keeps_to_events(tables, reading), _measures(reading, w)
-
-
-def _measures(reading: Reading, w: Array) -> Measures:
-    time = TURN / w
-    return Measures(
-        time=time,
-        highest=reading.highest,
-        lowest=reading.lowest,
-        integral_of_square=reading.mean_square * time,
-        integral_with_sine=reading.first_harmonic / 2 * time,
-        integral_with_cosine=jnp.zeros_like(w),
-        force=reading.contact_force,
-        contact_time=reading.contact_fraction * time,
-        contacts=reading.contacts,
-    )
-
-
 def _lanes(march: AbstractMarch, rigs: Int[AnyArray, " lanes"]) -> _Lane:
     """Stack lanes, each with its rig, along a leading axis."""
     assert isinstance(march, ExactMarch)
@@ -333,12 +313,20 @@ def advance(
     return lax.cond(jnp.any(close), jax.vmap(_section_moved), lambda _, t: t, lanes, track), found
 
 
-@compiled
-def read_tracks(
-    march: AbstractMarch, rigs: Int[AnyArray, " lanes"], track: Track
-) -> tuple[Bool[Array, " lanes"], Measures]:
-    """Whether the newest motions keep to their contacts, and their measures."""
-    return jax.vmap(_read)(_lanes(march, rigs), track)
+def keeps_to_contacts(
+    track: Track, log: EventLog, returned: Float[np.ndarray, " lanes"]
+) -> Bool[np.ndarray, " lanes"]:
+    """Whether motions that were marched for a period keep to the contacts of their tracks.
+
+    `log` is what the march met, lanes last, and `returned` how far from where it began it ended,
+    over the size of the state.
+    """
+    used = track.events.stop >= 0
+    angle = np.where(used, track.times[:, 0], np.pi)
+    # A change of contact at drive phase 0 may count at the beginning, at the end or not at all.
+    edge = np.any(np.abs(angle - TURN * np.round(angle / TURN)) < EDGE, axis=1)
+    more = np.abs(np.asarray(log.number) - used.sum(axis=1))
+    return (returned <= RETURNED) & (more <= np.where(edge, 1, 0))
 
 
 def can_follow(march: AbstractMarch, rigs: int) -> Bool[np.ndarray, " rigs"]:

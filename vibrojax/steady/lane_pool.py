@@ -18,7 +18,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.results.status import Status
-from vibrojax.steady.following import advance, begin_track, can_follow, no_tracks, read_tracks
+from vibrojax.steady.following import (
+    advance,
+    begin_track,
+    can_follow,
+    keeps_to_contacts,
+    no_tracks,
+)
 from vibrojax.steady.pool_programs import march_some, measure_some, polish_some, widths_for
 from vibrojax.steady.settling import (
     APERIODIC_PERIODS,
@@ -263,12 +269,22 @@ class LanePool:
         self._give_up(own[self.track.known[own] < 0])
 
     def _read(self, own: np.ndarray, lanes: np.ndarray) -> Settled:
-        """Read the motions that lanes have followed; return those that keep to their contacts."""
-        track = jax.tree.map(lambda a: a[lanes], self.track)
-        keeps, measures = jax.device_get(read_tracks(self.march, self.rig[lanes], track))
-        n, keeps = len(own), keeps[: len(own)]
+        """Measure motions that have been followed; return those that keep to their contacts."""
+        one = np.ones(len(lanes), np.int32)
+        end, steps, measures = jax.device_get(
+            measure_some(
+                self.march, self.rig[lanes], self.arrived_at[lanes], self.frequency[lanes], one
+            )
+        )
+        n, weight = len(own), self.weight[own]
+        gone = np.linalg.norm((end[:n] - self.arrived_at[own]) * weight, axis=1)
+        size = np.linalg.norm(self.arrived_at[own] * weight, axis=1)
+        measures = jax.tree.map(lambda a: a[..., :n], measures)
+        track = jax.tree.map(lambda a: a[own], self.track)
+        keeps = keeps_to_contacts(track, measures.events, gone / np.maximum(size, 1e-300))
+        self.search.steps[own] += steps[:n]
         self._give_up(own[~keeps])
-        own, measures = own[keeps], jax.tree.map(lambda a: a[:n][keeps], measures)
+        own, measures = own[keeps], jax.tree.map(lambda a: a[..., keeps], measures)
         one = np.ones(len(own), np.int32)
         return Settled(
             lanes=own,
@@ -278,7 +294,7 @@ class LanePool:
             periods_marched=self.search.marched[own],
             steps=self.search.steps[own],
             window=one,
-            measures=measures,
+            measures=measures._replace(events=None),
         )
 
     def _run_polish(self, own: np.ndarray, lanes: np.ndarray) -> None:

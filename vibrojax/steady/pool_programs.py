@@ -8,7 +8,7 @@ import numpy as np
 
 from vibrojax._tools.compiled import compiled
 from vibrojax.steady.batches import take_rigs
-from vibrojax.steady.following import advance, no_tracks, read_tracks
+from vibrojax.steady.following import advance, no_tracks
 from vibrojax.steady.settling import begin_search, found_period, march_until, polish
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 
@@ -65,7 +65,6 @@ def compile_ahead(march: AbstractMarch, lanes: int, max_period: int, follow: boo
         march_some.ahead(march, rig, search, ones, ones, np.asarray(0), np.int32(0))
         measure_some.ahead(march, rig, state, ones, whole)
         if follow and isinstance(march, ExactMarch):
-            track, _ = advance.ahead(march, rig, no_tracks(width, states), ones)
-            read_tracks.ahead(march, rig, track)
+            advance.ahead(march, rig, no_tracks(width, states), ones)
         else:
             polish_some.ahead(march, rig, state, ones, whole)

@@ -1,7 +1,7 @@
 """The loop of exact contact: every lane from one change of contact to the next, at its own pace."""
 
 from collections.abc import Sequence
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import jax
@@ -197,8 +197,8 @@ class ContactLoop:
         here = awaited & ~real & (jnp.abs(value) <= tolerance) & (slope > 0)
         late = jnp.where(here, 0.0, late)
         asked = (here | real) & (over | awaited)
-        nearest = jnp.min(jnp.where(asked, late, jnp.inf), axis=0)
         who = jnp.argmin(jnp.where(asked, late, jnp.inf), axis=0).astype(jnp.int32)
+        nearest = pick(who, late)
         found = jnp.any(asked, axis=0)
         lands = found & (jnp.abs(nearest) <= pick(phase, self.outlook.shortest))
         again = ~lands & (found | jnp.any(over, axis=0))
@@ -269,7 +269,7 @@ class ContactLoop:
             angle_rate=self.force.angular_frequency,
             response=(read[3 * k, :-1], read[3 * k, 1:]),
             response_rate=(read[3 * k + 1, :-1], read[3 * k + 1, 1:]),
-            force=jnp.max(peak, axis=0, initial=0.0),
+            force=reduce(jnp.maximum, peak, jnp.zeros(peak.shape[1:])),
             touches=jnp.any(touching, axis=0),
             entries=jnp.sum(changed & ~touching, axis=0, dtype=jnp.int32),
             changed=stop,

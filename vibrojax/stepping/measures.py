@@ -1,5 +1,6 @@
 """What is measured of a response while it is marched: extremes, means, contacts."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -106,8 +107,8 @@ class Measures(NamedTuple):
             return total + jnp.where(kept, value, 0)
 
         def furthest(far, value, of):
-            value = of(value, axis=0) if value.ndim > far.ndim else value
-            return jnp.where(kept, of(jnp.stack([far, value]), axis=0), far)
+            value = _folded(value, of) if value.ndim > far.ndim else value
+            return jnp.where(kept, of(far, value), far)
 
         events = self.events
         if events is not None and part.changed is not None:
@@ -115,16 +116,30 @@ class Measures(NamedTuple):
             events = events.add(part.changed, last, kept)
         return Measures(
             time=plus(self.time, h),
-            highest=furthest(self.highest, high, jnp.max),
-            lowest=furthest(self.lowest, low, jnp.min),
+            highest=furthest(self.highest, high, jnp.maximum),
+            lowest=furthest(self.lowest, low, jnp.minimum),
             integral_of_square=plus(self.integral_of_square, square),
             integral_with_sine=plus(self.integral_with_sine, with_sine),
             integral_with_cosine=plus(self.integral_with_cosine, with_cosine),
-            force=furthest(self.force, part.force, jnp.max),
+            force=furthest(self.force, part.force, jnp.maximum),
             contact_time=plus(self.contact_time, jnp.where(part.touches, h, 0.0)),
             contacts=plus(self.contacts, part.entries),
             events=events,
         )
+
+
+def _folded(values: Array, of: Callable[[Array, Array], Array]) -> Array:
+    """Extreme along the first axis, by halves.
+
+    JAX's derivative of a reduction compares it with what it was made of, which XLA may compute
+    again and differently: then it is NaN.
+    """
+    while len(values) > 1:
+        half = len(values) // 2
+        values = jnp.concatenate(
+            [of(values[:half], values[-half:]), values[half : len(values) - half]]
+        )
+    return values[0]
 
 
 def no_measures(like: Float[Array, "*lanes"]) -> Measures:
