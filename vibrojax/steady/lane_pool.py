@@ -26,12 +26,7 @@ from vibrojax.steady.following import (
     no_tracks,
 )
 from vibrojax.steady.pool_programs import march_some, measure_some, polish_some, widths_for
-from vibrojax.steady.settling import (
-    APERIODIC_PERIODS,
-    CLOSED,
-    NEAR,
-    begin_search,
-)
+from vibrojax.steady.settling import APERIODIC_PERIODS, CLOSED, NEAR, begin_search
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.resonance import is_unbounded
 from vibrojax.stepping.stepper import AbstractMarch
@@ -271,14 +266,12 @@ class LanePool:
     def _read(self, own: np.ndarray, lanes: np.ndarray) -> Settled:
         """Measure motions that have been followed; return those that keep to their contacts."""
         one = np.ones(len(lanes), np.int32)
-        end, steps, measures = jax.device_get(
-            measure_some(
-                self.march, self.rig[lanes], self.arrived_at[lanes], self.frequency[lanes], one
-            )
-        )
+        frequency, arrived = self.frequency[lanes], self.arrived_at[lanes]
+        found = measure_some(self.march, self.rig[lanes], arrived, frequency, one)
+        end, steps, measures = jax.device_get(found)
         n, weight = len(own), self.weight[own]
-        gone = np.linalg.norm((end[:n] - self.arrived_at[own]) * weight, axis=1)
-        size = np.linalg.norm(self.arrived_at[own] * weight, axis=1)
+        gone = np.linalg.norm((end - arrived)[:n] * weight, axis=1)
+        size = np.linalg.norm(arrived[:n] * weight, axis=1)
         measures = jax.tree.map(lambda a: a[..., :n], measures)
         track = jax.tree.map(lambda a: a[own], self.track)
         keeps = keeps_to_contacts(track, measures.events, gone / np.maximum(size, 1e-300))

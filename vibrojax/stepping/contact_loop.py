@@ -164,8 +164,8 @@ class ContactLoop:
         if self.outlook is not None:
             wave, tolerance = self.phasor(flight.time), self.force.depth_tolerance
             seen = self.outlook, flight.blocks, wave, flight.scale, tolerance
-            outlook, blocks, *rest = lax.stop_gradient(seen)
-            sight = outlook.look(blocks, flight.phase, touching, *rest, tick)
+            outlook, blocks, wave, scale, tolerance = lax.stop_gradient(seen)
+            sight = outlook.look(blocks, flight.phase, touching, wave, scale, tolerance, tick)
             hinted = flight.hint > 0
             time = jnp.where(hinted, flight.hint, sight.time)
             stop = jnp.where(hinted, flight.hinted, sight.stop)
@@ -235,7 +235,7 @@ class ContactLoop:
         first = flight.blocks[:, :, None]
         end = turned(turns[-1], flight.blocks)[:, :, None]
         blocks = jnp.concatenate([doubled(turned, turns[:-1], first, tick), end], axis=2)
-        share = np.arange(CELLS + 1).reshape((-1,) + (1,) * self.lanes)
+        share = jnp.arange(CELLS + 1).reshape((-1,) + (1,) * self.lanes)
         blocks = self.pushed(blocks, phase, flight.time, share * cell)
 
         def read_all():

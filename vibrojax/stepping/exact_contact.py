@@ -1,10 +1,9 @@
 """Marching through linear contact without error of integration.
 
 Flight and contact are both linear (`contact_phases`), so a lane flies on exact propagators and the
-only approximation is where it changes phase. Each lane tries a step of its own length. When the
-cubic through the depths of a stop at both ends crosses zero, the step is tried again up to the
-crossing; once the depth there is within `event_tolerance`, a Newton correction lands on the
-crossing and the state goes over to the block coordinates of the new phase. The correction is what
+only approximation is where it changes phase. In every round a lane looks ahead (`outlook`), goes
+where the first change of contact is for certain, or as far as there is none, and lands by the root
+of the parabola there; the state goes over to the block coordinates of the new phase. The landing
 carries the derivative of the crossing time, so forward-mode derivatives are those of the
 non-smooth motion, saltation included.
 
@@ -44,8 +43,8 @@ def march(
 ) -> tuple[Float[Array, "states *#lanes"], Int[Array, "*#lanes"], Measures | None]:
     """March every lane over its number of drive periods, each at its own pace.
 
-    Returns the states (q, q'), the attempts made, and the measures where `observe` asks for them.
-    A lane that takes more than `RETRIES` attempts for every step of the grid is left where it is,
+    Returns the states (q, q'), the rounds made, and the measures where `observe` asks for them.
+    A lane that takes more than `ROUNDS` rounds for a drive period is left where it is,
     with fewer periods behind it, and its state is NaN: the caller flags it.
     """
     loop = ContactLoop(phases, force, observe)
@@ -142,9 +141,9 @@ def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
     wave = loop.phasor(zero)
     position, speed = (apply_matrix(phases.towards_stop, half) for half in jnp.split(state, 2))
     depth = position - spread(phases.gap, 1, loop.lanes)
-    stops = [spread(a, 1, loop.lanes) for a in (phases.stiffness, phases.damping)]
+    stiffness, damping = (spread(a, 1, loop.lanes) for a in (phases.stiffness, phases.damping))
     can_pull, w = loop.column(phases.can_pull).astype(bool), force.angular_frequency
-    pushes = stop_push(*stops, can_pull, w, depth, speed, jnp.zeros_like(depth))
+    pushes = stop_push(stiffness, damping, can_pull, w, depth, speed, jnp.zeros_like(depth))
     indicator, rate = contact_indicator(depth, speed, *pushes)
     touching = indicator > 0
     if all(phases.can_pull):

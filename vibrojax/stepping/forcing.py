@@ -20,7 +20,7 @@ TOUCH = 1e-9
 
 
 class Forcing(NamedTuple):
-    """Tables of one drive frequency, split into sine and cosine, and the settings of the march."""
+    """Tables of one drive frequency, split into sine and cosine, and where to measure."""
 
     angular_frequency: Float[Array, "*#lanes"]
     start_phase: Float[Array, "*#lanes"]
@@ -100,9 +100,8 @@ def longest_step(
 ) -> Float[Array, "*#lanes"]:
     """Longest step, s: short against a contact and against the drive period.
 
-    Propagation is exact at any step, and a step after which a contact might have been overlooked is
-    halved by the loop; this is only where it starts from. Ten to a period of the beam resting on
-    its stops (eighteen at a tolerance of 1e-6) was fastest over the rigs of the benchmark.
+    Propagation is exact at any step, and a march takes none: these are the steps in which a motion
+    is measured (finer still), and those of diffrax.
     """
     period = 2 * jnp.pi / angular_frequency
     if steps_per_period is not None:

@@ -234,7 +234,7 @@ def _errors(amplitude: Float[Array, "blocks signals *lanes"], turn: Array) -> _E
     flat = 2 + 0.3 * turn
     slow = SHAPE * cubic <= flat
     kinds = jnp.where(slow, cubic, 0.0), of_parts, jnp.where(slow, 0.0, flat), 1 + turn
-    return _Errors(*(sum(amplitude * kind[:, None]) for kind in kinds))
+    return _Errors(*(jnp.sum(amplitude * kind[:, None], axis=0) for kind in kinds))
 
 
 def _turns(decay: Array, rate: Array, part: Lane, tick: Tick) -> tuple[list[Array], list[Array]]:

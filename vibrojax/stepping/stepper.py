@@ -203,19 +203,22 @@ class ExactMarch(AbstractMarch):
 
 @validated
 class ExactContact(AbstractStepper):
-    """Exact propagators in flight and in contact, crossings located inside the step.
+    """Exact propagators in flight and in contact, from one change of contact to the next.
 
     For linear stops (KelvinVoigt, with or without tension, any smoothing left out); up to four of
-    them. The error left is that of contacts too short to be seen between steps. Raises
-    `ValueError` for a tolerance outside (0, 0.1] or fewer than 4 steps per period.
+    them. Between changes of contact every depth is bounded, so none is missed however short, unless
+    it is less deep than 1e-9 of the gap; what is left is round-off, and the cost is that of the
+    contacts, whatever their stiffness. Raises `ValueError` for a tolerance outside (0, 0.1] or
+    fewer than 4 steps per period.
     """
 
     tolerance: float = eqx.field(default=1e-4)
-    """Error to expect relative to the response; chooses steps and how sharply to land."""
+    """Error to expect of extremes relative to the response: chooses how finely they are read. The
+    motion itself is exact."""
     steps_per_period: int | None = eqx.field(static=True, default=None)
-    """Steps per drive period, instead of those chosen from the contact and the tolerance."""
+    """Steps per drive period to read in, instead of those chosen from contact and tolerance."""
     max_attempts: int | None = eqx.field(static=True, default=None)
-    """Within diffrax: most attempts per step, kept for reverse mode to differentiate; None takes as
+    """Within diffrax: most rounds per step, kept for reverse mode to differentiate; None takes as
     many as needed, for forward mode and plain values."""
 
     def __check_init__(self) -> None:
