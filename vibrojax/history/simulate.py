@@ -42,7 +42,7 @@ from vibrojax.stepping.stepper import AbstractStepper, ExactContact
 
 MOST_SAMPLES = 100_000_000
 ATTEMPTS = 256
-"""Most attempts per step that reverse mode keeps; those not made cost nothing."""
+"""Most rounds per step that reverse mode keeps; those not made cost nothing."""
 One = float | int | Array | np.number[Any] | None
 """One number, or none: what is no list."""
 

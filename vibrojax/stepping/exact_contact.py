@@ -15,14 +15,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax.model.drives import AbstractDrive, AbstractWaveform
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_loop import ContactLoop, Flight
 from vibrojax.stepping.contact_phases import ContactPhases, spread
 from vibrojax.stepping.elementary import apply_matrix, pick
-from vibrojax.stepping.forcing import Forcing, forcing, longest_step
+from vibrojax.stepping.forcing import Forcing, forcing
 from vibrojax.stepping.measures import Measures, no_events, no_measures
 from vibrojax.stepping.phase_motion import contact_indicator, stop_push
 from vibrojax.stepping.replay import replayed_while
@@ -61,17 +61,16 @@ def step_from(
     state: Float[Array, " states"],
     start: Float[Array, ""],
     duration: Float[Array, ""],
-    tolerance: Float[ArrayLike, ""],
     max_attempts: int | None,
 ) -> Float[Array, " states"]:
     """Advance one lane from a time (s) over a duration, for any waveform.
 
     Harmonic drives are exact; of a chirp the step takes the frequency and amplitude of its middle.
-    With `max_attempts` reverse mode can differentiate the loop, of that many attempts at the most;
+    With `max_attempts` reverse mode can differentiate the loop, of that many rounds at the most;
     else `vmap` runs the lanes in one loop with the layout of `march`. The state is NaN if the
-    attempts did not suffice.
+    rounds did not suffice.
     """
-    numbers = phases, motion.drive, motion.waveform, state, start, duration, tolerance
+    numbers = phases, motion.drive, motion.waveform, state, start, duration
     numbers = jax.tree.map(lambda a: jnp.asarray(a, float), numbers)
     if max_attempts is None:
         return _step(*numbers)
@@ -85,7 +84,6 @@ def _step_lanes(
     state: Float[Array, "states *#lanes"],
     start: Float[Array, "*#lanes"],
     duration: Float[Array, "*#lanes"],
-    tolerance: Float[Array, "*#lanes"],
     *,
     max_attempts: int | None = None,
     lanes: tuple[int, ...] = (),
@@ -98,8 +96,7 @@ def _step_lanes(
         jnp.broadcast_to(a, lanes) for a in (amplitude, rate, start_phase, duration)
     )
     state = jnp.broadcast_to(spread(state, 1, len(lanes)), (state.shape[0], *lanes))
-    step = jnp.minimum(longest_step(phases, rate, tolerance, None), duration)
-    force = forcing(phases, amplitude, rate, start_phase, step)
+    force = forcing(phases, amplitude, rate, start_phase, duration)
     loop = ContactLoop(phases, force, observe=False)
     flight = run(loop, state, duration, jnp.ones(lanes, jnp.int32), max_attempts)
     return jnp.where(flight.finished > 0, leave(loop, flight, duration), jnp.nan)
@@ -198,7 +195,7 @@ def run(
     tolerance = jnp.maximum(loop.force.depth_tolerance, floor)
     loop.force = loop.force._replace(depth_tolerance=tolerance)
     flight = enter(loop, state)
-    budget = jnp.broadcast_to(jnp.asarray(target * ROUNDS, jnp.int32), flight.rounds.shape)
+    budget = jnp.minimum(target.astype(float) * ROUNDS, 2e9).astype(jnp.int32)
 
     def live(flight: Flight) -> Bool[Array, "*lanes"]:
         return (flight.finished < target) & (flight.rounds < budget)

@@ -21,6 +21,7 @@ from vibrojax.model.systems import Motion
 from vibrojax.stepping import exact_contact, splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases, phases_of
 from vibrojax.stepping.cubic import cubic_between
+from vibrojax.stepping.forcing import forcing, longest_step
 from vibrojax.stepping.measures import Measures
 
 States = Float[Array, "states *lanes"]
@@ -183,11 +184,9 @@ class ExactMarch(AbstractMarch):
         self, state: States, angular_frequency: Lanes, periods: Counts, observe: bool
     ) -> tuple[States, Counts, Measures | None]:
         """March with exact propagators; see `exact_contact.march`."""
-        step = exact_contact.longest_step(
-            self.phases, angular_frequency, self.tolerance, self.steps_per_period
-        )
+        step = longest_step(self.phases, angular_frequency, self.tolerance, self.steps_per_period)
         zero = jnp.zeros_like(angular_frequency)
-        force = exact_contact.forcing(
+        force = forcing(
             self.phases,
             self.drive.complex_amplitude(angular_frequency, zero),
             angular_frequency,
@@ -240,9 +239,7 @@ class ExactContact(AbstractStepper):
         """Advance with exact propagators, landing on every crossing in between."""
         # As `args` the phases stay shared by the lanes of a vmap; as solver state they would not.
         phases = solver_state if motion.prepared is None else motion.prepared
-        return exact_contact.step_from(
-            phases, motion, state, start, duration, self.tolerance, self.max_attempts
-        )
+        return exact_contact.step_from(phases, motion, state, start, duration, self.max_attempts)
 
     def steps(self, motion: Motion) -> int:
         """As many as the march would take; 64 when that depends on numbers that JAX is tracing."""
@@ -338,7 +335,7 @@ class ExponentialSplitting(AbstractStepper):
 
 @compiled
 def _exact_steps(phases, rate, tolerance):
-    step = exact_contact.longest_step(phases, rate, tolerance, None)
+    step = longest_step(phases, rate, tolerance, None)
     return 2 * jnp.pi / rate / step
 
 

@@ -1,7 +1,7 @@
 """What a time does to the blocks of a phase: turns with decay, or two exponentials.
 
 A turn is the matrix [[p, -q], [q, r]] of every block, kept as (p, r, q) along its first axis; turns
-of a block commute, and powers of one are those of later times.
+of a block commute, and one after another is the turn over both times.
 """
 
 from collections.abc import Callable, Sequence
