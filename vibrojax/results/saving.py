@@ -80,7 +80,7 @@ def save_dataset(dataset: "xarray.Dataset", path: str | os.PathLike[str]) -> Non
         dataset.dump_to_store(H5NetCDFStore(file))
     with whole_files(path) as (part,):
         assert part is not None
-        part.write_bytes(content.getbuffer())
+        part.write_bytes(content.getvalue())
 
 
 class AbstractSaved(eqx.Module):
