@@ -188,9 +188,14 @@ def _device() -> Any:
     return jax.local_devices(backend=chosen)[0] if isinstance(chosen, str) else chosen
 
 
+@functools.lru_cache
+def _kind(dtype: Any, wide: bool) -> str:
+    """Name of the kind of numbers that JAX makes of one; `wide` where it takes 64 bits."""
+    return str(jax.dtypes.canonicalize_dtype(dtype))
+
+
 def _signature(arrays: Sequence[Any], parts: Parts) -> Signature:
-    canonical = jax.dtypes.canonicalize_dtype
-    shapes = iter([(a.shape, str(canonical(a.dtype))) for a in arrays])
+    shapes = iter([(a.shape, _kind(a.dtype, jax.config.jax_enable_x64)) for a in arrays])
     return Signature(
         parts.structure,
         # 1 and True are equal, NaN is not to itself.

@@ -7,7 +7,6 @@ is for the march to find out, as where a branch ends.
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,19 +14,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
-from vibrojax.model.drives import AbstractDrive
-from vibrojax.steady.batches import take_rigs
-from vibrojax.steady.contact_times import (
-    Events,
-    Orbit,
-    PiecewiseMotion,
-    Tables,
-    follow_events,
-    tables_of,
-)
-from vibrojax.steady.orbit_reading import state_at
+from vibrojax.steady.contact_times import Events
+from vibrojax.steady.known_contacts import KnownContacts, Passage
+from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.settling import NEAR, is_stable
-from vibrojax.stepping.contact_phases import ContactPhases, may_resonate
+from vibrojax.stepping.contact_loop import ContactLoop
+from vibrojax.stepping.contact_phases import may_resonate
+from vibrojax.stepping.elementary import apply_matrix, pick
 from vibrojax.stepping.measures import MOST_EVENTS, EventLog
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 
@@ -83,14 +76,14 @@ class Followed(NamedTuple):
     rounds: Int[Array, "..."]
 
 
-def no_tracks(lanes: int, states: int) -> Track:
+def no_tracks(lanes: int, states: int) -> LaneTable:
     """Return the tracks of lanes of which nothing is known."""
 
     def zeros(*shape: int) -> Any:
-        return np.zeros((lanes, *shape))
+        return np.zeros((*shape, lanes))
 
-    stop: Any = np.full((lanes, MOST_EVENTS), -1, np.int32)
-    return Track(
+    stop: Any = np.full((MOST_EVENTS, lanes), -1, np.int32)
+    track = Track(
         events=Events(stop, zeros().astype(np.int32), zeros()),
         known=(zeros() - 1).astype(np.int32),
         frequency=zeros(2) + 1,
@@ -99,6 +92,7 @@ def no_tracks(lanes: int, states: int) -> Track:
         state_slope=zeros(2, states),
         times_slope=zeros(2, MOST_EVENTS),
     )
+    return table_of(track, xp=np)
 
 
 def begin_track(
@@ -108,87 +102,100 @@ def begin_track(
     angular_frequency: Float[np.ndarray, " lanes"],
     log: EventLog,
 ) -> None:
-    """Put motions into some lanes of a `Track`, of which a march has noted one drive period."""
-    stop, angle = np.asarray(log.stop).T, np.asarray(log.angle).T
-    track.events.stop[lanes], track.events.section[lanes] = stop, 0.0
+    """Put motions into some lanes of tracks, of which a march has noted one drive period.
+
+    `track` is the columns of a table of `Track`; all arrays have the lanes leading.
+    """
+    track.events.stop[lanes], track.events.section[lanes] = log.stop, 0.0
     track.events.first_phase[lanes] = log.first_phase
-    track.known[lanes] = np.where(np.asarray(log.number) <= MOST_EVENTS, 0, -1)
+    track.known[lanes] = np.where(log.number <= MOST_EVENTS, 0, -1)
     track.frequency[lanes, 0], track.state[lanes, 0] = angular_frequency, weighted
-    track.times[lanes, 0] = np.where(stop >= 0, angle, TURN)
+    track.times[lanes, 0] = np.where(np.asarray(log.stop) >= 0, log.angle, TURN)
 
 
 class _Solved(NamedTuple):
-    state: Float[Array, " states"]
-    """In units of energy."""
-    times: Float[Array, " events"]
-    motion: PiecewiseMotion
-    matrix: Float[Array, "states states"]
-    """Jacobian of the period map, in units of energy."""
-    error: Float[Array, ""]
-    error_before: Float[Array, ""]
-    rounds: Int[Array, ""]
+    """A motion at the section, as block coordinates of its phase there."""
+
+    blocks: Float[Array, "2 blocks lanes"]
+    times: Float[Array, "events lanes"]
+    error: Float[Array, " lanes"]
+    rounds: Int[Array, " lanes"]
+    going: Bool[Array, " lanes"]
 
 
-class _Lane(eqx.Module):
-    """What a lane is made of, apart from its drive frequency."""
+class _Lanes:
+    """Lanes with the events of their motions, apart from the drive frequency."""
 
-    phases: ContactPhases
-    drive: AbstractDrive
+    def __init__(self, march: ExactMarch, events: Events):
+        self.march, self.events = march, events
+        self.weight, phases = march.phases.weight, march.phases
+        # Energies of block coordinates, were each alone.
+        of_state = jnp.sqrt(jnp.sum((self.weight[:, None] * phases.to_state) ** 2, axis=1))
+        energy = pick(jnp.asarray(events.first_phase), of_state)
+        self.energy = energy.reshape(2, -1, *energy.shape[1:])
 
-    def tables(self, w: Float[Array, ""]) -> Tables:
-        return tables_of(self.phases, self.drive, w, resonant=False)
+    def at(self, w: Float[Array, " lanes"]) -> KnownContacts:
+        """The lanes at a drive frequency, rad/s."""
+        return KnownContacts(
+            ContactLoop(self.march.phases, self.march.force_at(w), False), self.events
+        )
 
-    def follow(
-        self, events: Events, w: Float[Array, ""], state: Array, times: Array, *, push: bool
-    ) -> PiecewiseMotion:
-        orbit = Orbit(state / self.phases.weight, times)
-        tables = self.tables(w)
-        return follow_events(tables, events, orbit, 1, events.number, with_jacobian=push)
+    def begin(self, at: KnownContacts, state: Float[Array, "states lanes"]) -> Array:
+        """Block coordinates at the section of a state in units of energy."""
+        time = self.events.section / at.frequency
+        return at.loop.blocks_of(state / self.weight, self.events.first_phase, time)
 
-    def solve(self, events: Events, w: Array, state: Array, times: Array) -> _Solved:
-        """Newton's method on the state at the section, the times of contact following."""
-        weight, used = self.phases.weight, events.stop >= 0
-        size = jnp.linalg.norm(state)
-        size = jnp.where(size > 0, size, 1.0)
+    def state(self, at: KnownContacts, blocks: Array, phase: Array, angle: Array) -> Array:
+        """State in units of energy."""
+        return self.weight * at.loop.state_of(blocks, phase, angle / at.frequency)
 
-        def look(state: Array, times: Array, before: Array, rounds: Array) -> _Solved:
-            motion = self.follow(events, w, state, times, push=True)
-            assert motion.jacobian is not None
-            matrix = weight[:, None] * motion.jacobian / weight
-            moved = jnp.max(jnp.abs(motion.times - times), where=used, initial=0.0)
-            gone = jnp.max(jnp.abs(motion.end * weight - state)) / size
-            motion = motion._replace(jacobian=None)
-            error = jnp.maximum(gone, moved)
-            return _Solved(state, times, motion, matrix, error, before, rounds)
+    def solve(self, at: KnownContacts, blocks: Array, times: Array, size: Array) -> _Solved:
+        """Newton's method on block coordinates at the section and times of contact."""
+        until, used = self.events.section + TURN, self.events.stop >= 0
 
         def better(found: _Solved) -> _Solved:
-            gap = found.motion.end * weight - found.state
-            change = jnp.linalg.solve(jnp.eye(gap.size) - found.matrix, gap)
-            state, times = found.state + change, found.motion.times
-            return look(state, times, found.error, found.rounds + 1)
+            blocks, times, live = found.blocks, found.times, found.going
+            passed = at.go_through(blocks, times, until)
+            gap = passed.blocks - blocks
+            gone = jnp.sqrt(jnp.sum((self.energy * gap) ** 2, axis=(0, 1))) / size
+            late = jnp.max(jnp.abs(passed.late), axis=0, where=used, initial=0.0)
+            error = jnp.maximum(gone, late)
+            shrinks = (found.rounds < FREE_ROUNDS) | (error < found.error / 2)
+            going = live & (error > ROUND_OFF) & (found.rounds + 1 < MOST_ROUNDS) & shrinks
+            change = _to_return(passed, gap)
+            moved = passed.late + apply_matrix(passed.delays, change)
+            room = 0.4 * _room(self.events, times)
+            moved = jnp.where(used, jnp.clip(moved, -room, room), 0.0)
+            return _Solved(
+                blocks=jnp.where(going, blocks + change.reshape(blocks.shape), blocks),
+                times=jnp.where(going, times + moved, times),
+                error=jnp.where(live, error, found.error),
+                rounds=found.rounds + live,
+                going=going,
+            )
 
-        def going(found: _Solved) -> Array:
-            shrinks = (found.rounds <= FREE_ROUNDS) | (found.error < found.error_before / 2)
-            return (found.error > ROUND_OFF) & (found.rounds < MOST_ROUNDS) & shrinks
+        none, whole = jnp.zeros(size.shape, jnp.int32), jnp.ones(size.shape, bool)
+        first = _Solved(blocks, times, jnp.full_like(size, jnp.inf), none, whole)
+        return lax.while_loop(lambda found: jnp.any(found.going), better, first)
 
-        far = jnp.full_like(size, jnp.inf)
-        return lax.while_loop(going, better, look(state, times, far, jnp.int32(1)))
+    def with_slopes(self, w: Array, found: _Solved) -> tuple[Array, Array, Array, Array]:
+        """State and multipliers' matrix of motions; slopes of state and times by the frequency."""
+        until, first_phase = self.events.section + TURN, self.events.first_phase
 
+        def passed_at(w: Array) -> tuple[tuple[Array, Array], Passage]:
+            passed = self.at(w).go_through(found.blocks, found.times, until)
+            return (passed.blocks, passed.late), passed
 
-def _slopes(
-    lane: _Lane, events: Events, w: Array, found: _Solved
-) -> tuple[Float[Array, " states"], Float[Array, " events"]]:
-    """Derivatives of state and times along the branch, by the drive frequency."""
+        def state_at(w: Array, blocks: Array) -> Array:
+            return self.state(self.at(w), blocks, first_phase, self.events.section)
 
-    def followed(state: Array, w: Array) -> tuple[Array, Array]:
-        motion = lane.follow(events, w, state, found.times, push=False)
-        return motion.end * lane.phases.weight, motion.times
-
-    one = jnp.ones_like(w)
-    _, (push, _) = jax.jvp(lambda w: followed(found.state, w), (w,), (one,))
-    slope = jnp.linalg.solve(jnp.eye(push.size) - found.matrix, push)
-    _, (_, times_slope) = jax.jvp(followed, (found.state, w), (slope, one))
-    return slope, times_slope
+        one = jnp.ones_like(w)
+        _, (push, late), passed = jax.jvp(passed_at, (w,), (one,), has_aux=True)
+        change = _to_return(passed, push)
+        blocks_slope = change.reshape(push.shape)
+        state, slope = jax.jvp(state_at, (w, found.blocks), (one, blocks_slope))
+        matrix = passed.matrix.reshape(change.shape[0], *change.shape)
+        return state, matrix, slope, late + apply_matrix(passed.delays, change)
 
 
 def _predicted(track: Track, w: Array) -> tuple[Float[Array, " states"], Float[Array, " events"]]:
@@ -207,73 +214,89 @@ def _predicted(track: Track, w: Array) -> tuple[Float[Array, " states"], Float[A
     return at(track.state, track.state_slope), at(track.times, track.times_slope)
 
 
-def _after(events: Events, times: Float[Array, " events"]) -> Float[Array, " events"]:
+def _to_return(
+    passed: Passage, gap: Float[Array, "2 blocks lanes"]
+) -> Float[Array, "states lanes"]:
+    """Change of where motions begin that makes up for a gap between end and beginning."""
+    flat = gap.reshape(-1, gap.shape[-1])
+    matrix = jnp.moveaxis(passed.matrix.reshape(len(flat), *flat.shape), -1, 0)
+    return jnp.linalg.solve(jnp.eye(len(flat)) - matrix, flat.T[..., None])[..., 0].T
+
+
+def _room(events: Events, times: Float[Array, "events lanes"]) -> Float[Array, "events lanes"]:
+    """Drive angle, rad, that an event has to its neighbours, to the section and to its end."""
+    ends = jnp.concatenate([events.section[None], times, events.section[None] + TURN])
+    between = jnp.diff(ends, axis=0)
+    return jnp.clip(jnp.minimum(between[:-1], between[1:]), 0.0, 1.0)
+
+
+def _after(events: Events, times: Float[Array, "events lanes"]) -> Float[Array, "events lanes"]:
     """How long the phases behind the events take, as drive angles."""
     used = events.stop >= 0
-    last = jnp.arange(times.size) + 1 == jnp.sum(used)
-    return jnp.where(used, jnp.where(last, times[0] + TURN, jnp.roll(times, -1)) - times, 0.0)
+    last = jnp.arange(1, len(times) + 1)[:, None] == jnp.sum(used, axis=0)
+    following = jnp.where(last, times[0] + TURN, jnp.roll(times, -1, axis=0))
+    return jnp.where(used, following - times, 0.0)
 
 
-def _is_close(track: Track) -> Bool[Array, ""]:
+def _is_close(events: Events, times: Float[Array, "events lanes"]) -> Bool[Array, " lanes"]:
     """Whether the section is close to a change of contact."""
-    events, times = track.events, track.times[0]
     used = events.stop >= 0
-    last = jnp.max(times, where=used, initial=-jnp.inf)
+    last = jnp.max(times, axis=0, where=used, initial=-jnp.inf)
     nearest = jnp.minimum(times[0] - events.section, events.section + TURN - last)
-    room = jnp.minimum(CLOSE, jnp.max(_after(events, times)) / 4)
-    return (jnp.sum(used) > 0) & (nearest < room)
+    room = jnp.minimum(CLOSE, jnp.max(_after(events, times), axis=0) / 4)
+    return jnp.any(used, axis=0) & (nearest < room)
 
 
-def _section_moved(lane: _Lane, track: Track) -> Track:
-    """Move a section that is close to a change of contact into the middle of the longest phase.
+def _section_moved(lanes: _Lanes, track: Track, close: Bool[Array, " lanes"]) -> Track:
+    """Move sections that are close to a change of contact into the middle of the longest phase.
 
     There the newest point is a guess again.
     """
-    events, times, w = track.events, track.times[0], track.frequency[0]
+    events, times, at = track.events, track.times[0], lanes.at(track.frequency[0])
     used, length = events.stop >= 0, _after(track.events, track.times[0])
-    longest = jnp.argmax(length)
-    section = times[longest] + length[longest] / 2
+    longest = jnp.argmax(length, axis=0)[None]
+    begun, long = (jnp.take_along_axis(a, longest, axis=0)[0] for a in (times, length))
+    section = begun + long / 2
     section = jnp.where(section >= events.section + TURN, section - TURN, section)
     early = used & (times < section)
     later = jnp.where(early, times + TURN, times)
-    order = jnp.argsort(jnp.where(used, later, jnp.inf))
-    first = events.first_phase
-    for s in range(lane.phases.num_stops):
-        odd = jnp.sum(early & (events.stop == s)) % 2
-        first = first ^ (odd << s).astype(first.dtype)
+    order = jnp.argsort(jnp.where(used, later, jnp.inf), axis=0)
+    stop, later = (jnp.take_along_axis(a, order, axis=0) for a in (events.stop, later))
     # The section is counted from less than a turn.
     turns = TURN * jnp.floor(section / TURN)
     whole = section - turns
-    stop = events.stop[order]
-    new_times = jnp.where(stop >= 0, later[order] - turns, whole + TURN)
-    motion = lane.follow(events, w, track.state[0], times, push=False)
-    state = state_at(lane.tables(w), motion, section, events.section, 1) * lane.phases.weight
+    passed = at.go_through(lanes.begin(at, track.state[0]), times, section)
+    state = lanes.state(at, passed.blocks, passed.phase, section)
     moved = track._replace(
-        events=Events(stop, first, whole),
+        events=Events(stop, passed.phase.astype(events.first_phase.dtype), whole),
         known=jnp.zeros_like(track.known),
         state=track.state.at[0].set(state),
-        times=track.times.at[0].set(new_times),
+        times=track.times.at[0].set(jnp.where(stop >= 0, later - turns, whole + TURN)),
     )
-    return jax.tree.map(lambda a, b: jnp.where(_is_close(track), a, b), moved, track)
+    return jax.tree.map(lambda a, b: jnp.where(close, a, b), moved, track)
 
 
-def _advanced(lane: _Lane, track: Track, w: Array) -> tuple[Track, Followed]:
-    """Solve for the motion of one lane at a frequency; where that is not good, the track stays."""
-    events, known = track.events, track.known > 0
+def _size(state: Float[Array, "states lanes"]) -> Float[Array, " lanes"]:
+    return jnp.sqrt(jnp.sum(state**2, axis=0))
+
+
+def _advanced(lanes: _Lanes, track: Track, w: Float[Array, " lanes"]) -> tuple[Track, Followed]:
+    """Solve for the motions at a frequency; where that is not good, the track stays."""
+    events, known, at = track.events, track.known > 0, lanes.at(w)
     ahead = _predicted(track, w)
     guess, times = (
         jnp.where(known, a, b) for a, b in zip(ahead, (track.state[0], track.times[0]), strict=True)
     )
-    found = lane.solve(events, w, guess, times)
-    slope, times_slope = _slopes(lane, events, w, found)
+    size = _size(guess)
+    found = lanes.solve(at, lanes.begin(at, guess), times, jnp.where(size > 0, size, 1.0))
+    state, matrix, slope, times_slope = lanes.with_slopes(w, found)
     # Along one branch the slopes at both ends give the step between them.
-    step = found.state - track.state[0]
+    step = state - track.state[0]
     straight = (w - track.frequency[0]) / 2 * (slope + track.state_slope[0])
-    bent = jnp.linalg.norm(step - straight)
-    size, length = jnp.linalg.norm(found.state), jnp.linalg.norm(step)
+    bent, size, length = _size(step - straight), _size(state), _size(step)
     goes_on = jnp.where(known, bent <= BENT * length + STRAIGHT * size, length <= 5 * NEAR * size)
-    good = (found.error <= CLOSED) & goes_on & is_stable(found.matrix)
-    good &= jnp.all(jnp.isfinite(slope))
+    good = (found.error <= CLOSED) & goes_on & is_stable(jnp.moveaxis(matrix, -1, 0))
+    good &= jnp.all(jnp.isfinite(slope), axis=0)
 
     def pair(new: Array, old: Array) -> Array:
         return jnp.stack([new, old[0]])
@@ -282,35 +305,33 @@ def _advanced(lane: _Lane, track: Track, w: Array) -> tuple[Track, Followed]:
         events=events,
         known=jnp.where(known, 2, 1).astype(jnp.int32),
         frequency=pair(w, track.frequency),
-        state=pair(found.state, track.state),
+        state=pair(state, track.state),
         times=pair(found.times, track.times),
         state_slope=pair(slope, track.state_slope),
         times_slope=pair(times_slope, track.times_slope),
     )
     new = jax.tree.map(lambda a, b: jnp.where(good, a, b), point, track)
-    at_start = state_at(lane.tables(w), found.motion, jnp.zeros(()), events.section, 1)
+    # Drive phase 0 lies within the turn behind the section.
+    origin = jnp.where(events.section > 0, TURN, 0.0)
+    passed = at.go_through(found.blocks, found.times, origin)
+    at_start = lanes.state(at, passed.blocks, passed.phase, origin) / lanes.weight
     return new, Followed(good, at_start, found.rounds)
-
-
-def _lanes(march: AbstractMarch, rigs: Int[AnyArray, " lanes"]) -> _Lane:
-    """Stack lanes, each with its rig, along a leading axis."""
-    assert isinstance(march, ExactMarch)
-    own = take_rigs(_Lane(march.phases, march.drive), rigs)
-    return jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), own)
 
 
 @compiled
 def advance(
-    march: AbstractMarch,
-    rigs: Int[AnyArray, " lanes"],
-    track: Track,
-    angular_frequency: Float[AnyArray, " lanes"],
-) -> tuple[Track, Followed]:
-    """Solve for the motions of lanes, each with its rig, at the frequencies they come to next."""
-    lanes = _lanes(march, rigs)
-    track, found = jax.vmap(_advanced)(lanes, track, jnp.asarray(angular_frequency))
-    close = jax.vmap(_is_close)(track)
-    return lax.cond(jnp.any(close), jax.vmap(_section_moved), lambda _, t: t, lanes, track), found
+    march: LaneTable, tracks: LaneTable, angular_frequency: Float[AnyArray, " lanes"]
+) -> LaneTable:
+    """Solve for the motions of lanes at the frequencies they come to next.
+
+    Returns `Track` and `Followed` of all.
+    """
+    own, track, w = march.lanes_last(), tracks.lanes_last(), jnp.asarray(angular_frequency)
+    lanes = _Lanes(own, track.events)
+    track, found = _advanced(lanes, track, w)
+    close = _is_close(track.events, track.times[0])
+    moved = lambda track: _section_moved(lanes, track, close)  # noqa: E731
+    return table_of((lax.cond(jnp.any(close), moved, lambda track: track, track), found))
 
 
 def keeps_to_contacts(
@@ -318,7 +339,7 @@ def keeps_to_contacts(
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether motions that were marched for a period keep to the contacts of their tracks.
 
-    `log` is what the march met, lanes last, and `returned` how far from where it began it ended,
+    `log` is what the march met, and `returned` how far from where it began it ended,
     over the size of the state.
     """
     used = track.events.stop >= 0
@@ -330,8 +351,9 @@ def keeps_to_contacts(
 
 
 def can_follow(march: AbstractMarch, rigs: int) -> Bool[np.ndarray, " rigs"]:
-    """Which rigs' motions can be followed: with linear stops, and no mode without damping."""
+    """Which rigs' motions can be followed: with linear stops, and no mode without damping.
+
+    Rigs are the leading axis of the arrays of `march`."""
     if not isinstance(march, ExactMarch):
         return np.zeros(rigs, bool)
-    lanes_lead = jax.tree.map(lambda a: np.moveaxis(np.asarray(a), -1, 0), march.phases)
-    return ~may_resonate(lanes_lead)
+    return ~may_resonate(march.phases)

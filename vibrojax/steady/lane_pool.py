@@ -25,6 +25,7 @@ from vibrojax.steady.following import (
     keeps_to_contacts,
     no_tracks,
 )
+from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.pool_programs import march_some, measure_some, polish_some, widths_for
 from vibrojax.steady.settling import APERIODIC_PERIODS, CLOSED, NEAR, begin_search
 from vibrojax.stepping.measures import Measures
@@ -79,9 +80,10 @@ class LanePool:
         follow: bool = False,
     ):
         self.march, self.rig, self.resonances = march, rig, resonances
+        self.rigs = table_of(march, xp=np)
         weight = np.asarray(march.energy_weight()).T
         self.weight = weight[rig]
-        self.follow = (follow & can_follow(march, len(weight)))[rig]
+        self.follow = (follow & can_follow(self.rigs.columns(), len(weight)))[rig]
         """Which lanes are followed where that can be."""
         self.tolerance, self.max_period = tolerance, max_period
         self.max_periods = jnp.asarray(max_periods)
@@ -102,13 +104,14 @@ class LanePool:
         count = len(self.rig)
         self.frequency, self.state = np.array(angular_frequency, float), np.array(state, float)
         self.march.check_steps(np.asarray(self.rig), self.frequency)
-        self.search = jax.tree.map(np.array, self._fresh(self.state * self.weight))
+        self.searches = self._fresh(self.state * self.weight)
+        self.search: Any = self.searches.columns()
         self.stage, self.limit = np.full(count, IDLE), np.full(count, NEAR)
         self.period, self.wanted = np.zeros((2, count), np.int32)
         """Period found, and the one that Newton's method is to try."""
-        self.track: Any = no_tracks(count, self.state.shape[1])
+        self.tracks, self.tracks_before = (no_tracks(count, self.state.shape[1]) for _ in range(2))
         """The motion that a lane has come to, and the one that it came from."""
-        self.track_before = no_tracks(count, self.state.shape[1])
+        self.track: Any = self.tracks.columns()
         self.stride, self.least_stride = np.zeros((2, count))
         """Way (rad/s) that is tried next, and at the least, before a lane is marched."""
         self.arrived_at = self.state.copy()
@@ -141,14 +144,14 @@ class LanePool:
                 self._send(own, onwards(self._measured(own, lanes, window[lanes])))
                 report(len(own))
 
-    def _fresh(self, weighted: np.ndarray) -> Any:
-        search = begin_search(weighted.T, self.max_period, np)
-        return jax.tree.map(lambda a: np.moveaxis(a, -1, 0), search)
+    def _fresh(self, weighted: np.ndarray) -> LaneTable:
+        return table_of(begin_search(weighted.T, self.max_period, np), xp=np)
 
     def _send(self, lanes: np.ndarray, onwards: Onwards) -> None:
         active, frequency, self.state[lanes], goes_on = onwards
-        _copy(self.track_before, self.track, lanes[~goes_on])
-        _copy(self.track, self.track_before, lanes[goes_on])
+        back, on = lanes[~goes_on], lanes[goes_on]
+        self.tracks.numbers[back] = self.tracks_before.numbers[back]
+        self.tracks_before.numbers[on] = self.tracks.numbers[on]
         self.frequency[lanes] = np.where(active, frequency, self.frequency[lanes])
         first = np.where(self.track.known[lanes] >= 0, FOLLOW, MARCH)
         first = np.where(self._grows(lanes), MEASURE, first)
@@ -162,13 +165,21 @@ class LanePool:
     def _refresh(self, lanes: np.ndarray) -> None:
         """Begin a search where lanes are."""
         steps = self.search.steps[lanes]
-        fresh = self._fresh(self.state[lanes] * self.weight[lanes])._replace(steps=steps)
-        for kept, new in zip(self.search, fresh, strict=True):
-            kept[lanes] = new
+        self.searches.numbers[lanes] = self._fresh(self.state[lanes] * self.weight[lanes]).numbers
+        self.search.steps[lanes] = steps
 
     def _grows(self, lanes: np.ndarray) -> np.ndarray:
         """Whether lanes would grow without bound: they are not marched."""
         return np.asarray(is_unbounded(self.resonances[:, lanes], self.frequency[lanes], np))
+
+    def _own(self, lanes: np.ndarray) -> LaneTable:
+        """March of some lanes, each with its rig."""
+        return self.rigs.pick(self.rig[lanes])
+
+    def _marched(self, own: np.ndarray, lanes: np.ndarray, state: np.ndarray, window: np.ndarray):
+        """March lanes over windows; of their own the states, the steps, and what was measured."""
+        marched = measure_some(self._own(lanes), state, self.frequency[lanes], window)
+        return marched.pick(slice(len(own))).columns()
 
     def _batch(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the lanes of one loop and the same filled up to its width."""
@@ -190,21 +201,21 @@ class LanePool:
         n = len(own)
         # Lanes that wait for their turn, or come back soon, take the places of those that are done.
         still = 3 * n // 4 if len(chosen) > n else n // 2
-        search = jax.tree.map(lambda a: a[lanes], self.search)
-        search.done[n:] = True
-        search, period = march_some(
-            self.march,
-            self.rig[lanes],
+        search = self.searches.pick(lanes)
+        search.columns().done[n:] = True
+        marched = march_some(
+            self._own(lanes),
             search,
             self.frequency[lanes],
             self.limit[lanes],
             self.max_periods,
             np.int32(still),
         )
-        for kept, new in zip(self.search, search, strict=True):
-            kept[own] = np.asarray(new)[:n]
-        arrived = self.search.done[own]
-        own, period = own[arrived], np.asarray(period)[:n][arrived]
+        # The last column is the period found.
+        numbers = np.asarray(marched.numbers)[:n]
+        self.searches.numbers[own] = numbers[:, :-1]
+        arrived = self.search.done[own] > 0
+        own, period = own[arrived], numbers[arrived, -1].astype(np.int32)
         self.state[own] = self.search.history[own, 0] / self.weight[own]
         near, lost = self.limit[own] == NEAR, ~np.isfinite(self.state[own]).all(axis=1)
         # Period 1 first: a slowly turning period-1 motion returns best after several periods.
@@ -231,10 +242,11 @@ class LanePool:
         whole = np.abs(left) <= np.abs(self.stride[lanes])
         to = np.where(whole, self.frequency[lanes], here + self.stride[lanes])
         at = np.where(known, to, here)
-        track = jax.tree.map(lambda a: a[lanes], self.track)
-        track, found = jax.device_get(advance(self.march, self.rig[lanes], track, at))
-        good, known, arrives = found.good[:n], known[:n], whole[:n] & known[:n]
-        _copy(track, self.track, np.arange(n), own)
+        advanced = advance(self._own(lanes), self.tracks.pick(lanes), at)
+        _, found = advanced.columns()
+        good, known, arrives = found.good[:n] > 0, known[:n], whole[:n] & known[:n]
+        numbers = self.tracks.numbers
+        numbers[own] = np.asarray(advanced.numbers)[:n, : numbers.shape[1]]
         self.search.steps[own] += found.rounds[:n]
         self.stride[own] = np.where(known, (at - here)[:n] * np.where(good, 2.0, 0.5), left[:n])
         self.arrived_at[own[good]] = found.state[:n][good]
@@ -253,50 +265,40 @@ class LanePool:
     def _orient(self, own: np.ndarray, lanes: np.ndarray) -> None:
         """Note the contacts of lanes that have marched near to a motion, to solve for it."""
         one = np.ones(len(lanes), np.int32)
-        _, steps, measures = jax.device_get(
-            measure_some(self.march, self.rig[lanes], self.state[lanes], self.frequency[lanes], one)
-        )
-        n, weighted = len(own), self.state[own] * self.weight[own]
-        log = jax.tree.map(lambda a: a[..., :n], measures.events)
-        begin_track(self.track, own, weighted, self.frequency[own], log)
+        _, steps, measures = self._marched(own, lanes, self.state[lanes], one)
+        weighted = self.state[own] * self.weight[own]
+        begin_track(self.track, own, weighted, self.frequency[own], measures.events)
         self.oriented[own], self.stage[own] = True, FOLLOW
-        self.search.steps[own] += steps[:n]
+        self.search.steps[own] += steps
         self._give_up(own[self.track.known[own] < 0])
 
     def _read(self, own: np.ndarray, lanes: np.ndarray) -> Settled:
         """Measure motions that have been followed; return those that keep to their contacts."""
         one = np.ones(len(lanes), np.int32)
-        frequency, arrived = self.frequency[lanes], self.arrived_at[lanes]
-        found = measure_some(self.march, self.rig[lanes], arrived, frequency, one)
-        end, steps, measures = jax.device_get(found)
-        n, weight = len(own), self.weight[own]
-        gone = np.linalg.norm((end - arrived)[:n] * weight, axis=1)
-        size = np.linalg.norm(arrived[:n] * weight, axis=1)
-        measures = jax.tree.map(lambda a: a[..., :n], measures)
-        track = jax.tree.map(lambda a: a[own], self.track)
+        end, steps, measures = self._marched(own, lanes, self.arrived_at[lanes], one)
+        arrived, weight = self.arrived_at[own], self.weight[own]
+        gone = np.linalg.norm((end - arrived) * weight, axis=1)
+        size = np.linalg.norm(arrived * weight, axis=1)
+        track = self.tracks.pick(own).columns()
         keeps = keeps_to_contacts(track, measures.events, gone / np.maximum(size, 1e-300))
-        self.search.steps[own] += steps[:n]
+        self.search.steps[own] += steps
         self._give_up(own[~keeps])
-        own, measures = own[keeps], jax.tree.map(lambda a: a[..., keeps], measures)
+        own, measures = own[keeps], jax.tree.map(lambda a: a[keeps], measures)
         one = np.ones(len(own), np.int32)
         return Settled(
             lanes=own,
             state=self.arrived_at[own],
             period=one,
             status=one * Status.settled.value,
-            periods_marched=self.search.marched[own],
-            steps=self.search.steps[own],
+            periods_marched=self.search.marched[own].astype(np.int32),
+            steps=self.search.steps[own].astype(np.int32),
             window=one,
             measures=measures._replace(events=None),
         )
 
     def _run_polish(self, own: np.ndarray, lanes: np.ndarray) -> None:
         state, good = polish_some(
-            self.march,
-            self.rig[lanes],
-            self.state[lanes],
-            self.frequency[lanes],
-            self.wanted[lanes],
+            self._own(lanes), self.state[lanes], self.frequency[lanes], self.wanted[lanes]
         )
         good = np.asarray(good)[: len(own)]
         settled, left = own[good], own[~good]
@@ -319,10 +321,8 @@ class LanePool:
                 continue
             lanes = self._filled(own)
             window = np.full(len(lanes), part, np.int32)
-            end, _, _ = measure_some(
-                self.march, self.rig[lanes], self.state[lanes], self.frequency[lanes], window
-            )
-            gone = (np.asarray(end)[: len(own)] - self.state[own]) * self.weight[own]
+            end, _, _ = self._marched(own, lanes, self.state[lanes], window)
+            gone = (end - self.state[own]) * self.weight[own]
             size = np.linalg.norm(self.state[own] * self.weight[own], axis=1)
             self.period[own[np.linalg.norm(gone, axis=1) <= CLOSED * size]] = part
 
@@ -332,17 +332,13 @@ class LanePool:
         # A lane that is lost starts again from rest at the next frequency.
         state = np.where(lost[:, None], 0.0, state)
         window = np.where(lost, 0, window).astype(np.int32)
-        end, steps, measures = measure_some(
-            self.march, self.rig[lanes], state, self.frequency[lanes], window
-        )
-        measures = jax.tree.map(lambda a: np.asarray(a)[..., :n], measures)
-        end, lost = np.asarray(end)[:n], lost[:n]
-        self.track.known[own] = -1
-        one = own[~lost & (self.period[own] == 1) & self.follow[own]]
-        if len(one):
-            log = jax.tree.map(lambda a: a[..., np.isin(own, one)], measures.events)
-            weighted = self.state[one] * self.weight[one]
-            begin_track(self.track, one, weighted, self.frequency[one], log)
+        end, steps, measures = self._marched(own, lanes, state, window)
+        lost, self.track.known[own] = lost[:n], -1
+        one = ~lost & (self.period[own] == 1) & self.follow[own]
+        if one.any():
+            log, at = jax.tree.map(lambda a: a[one], measures.events), own[one]
+            weighted = self.state[at] * self.weight[at]
+            begin_track(self.track, at, weighted, self.frequency[at], log)
         period = np.where(lost, 0, self.period[own])
         # Periodic lanes go on from the orbit itself, the others from where the measuring ended.
         goes_on = (period == 0) & np.isfinite(end).all(axis=1)
@@ -353,18 +349,11 @@ class LanePool:
             state=np.where(goes_on[:, None], end, state[:n]),
             period=period,
             status=status.astype(np.int32),
-            periods_marched=self.search.marched[own],
-            steps=self.search.steps[own] + np.asarray(steps)[:n],
+            periods_marched=self.search.marched[own].astype(np.int32),
+            steps=(self.search.steps[own] + steps).astype(np.int32),
             window=np.maximum(window[:n], 1),
             measures=measures._replace(events=None),
         )
-
-
-def _copy(source: Any, target: Any, places: np.ndarray, to: np.ndarray | None = None) -> None:
-    """Copy lanes of a tree of arrays into another one."""
-    where = places if to is None else to
-    for new, kept in zip(jax.tree.leaves(source), jax.tree.leaves(target), strict=True):
-        kept[where] = new[places]
 
 
 def settle(

@@ -8,7 +8,7 @@ which attractor it is. The rest marches on.
 """
 
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -90,32 +90,36 @@ def march_until(
 
     Stops as soon as no more than `still` lanes are left.
     """
-    max_period = search.last_error.shape[0]
+    max_period, run = search.last_error.shape[0], march.run_at(frequency)
 
-    def step(search: Search) -> Search:
-        live = ~search.done
-        state = search.history[0] / weight
-        new, steps, _ = march(state, frequency, live.astype(jnp.int32), False)
+    def step(carry: tuple[Search, Any]) -> tuple[Search, Any]:
+        search, lanes = carry
+        lanes, came = run.go_on(lanes, ~search.done)
+        new, steps = run.arrived_at(lanes)
         history = jnp.concatenate([(new * weight)[None], search.history[:-1]])
-        history = jnp.where(live, history, search.history)
-        marched = search.marched + live
+        history = jnp.where(came, history, search.history)
+        marched = search.marched + came
         error, _ = _return_errors(history, max_period)
         worst = jnp.maximum(error, search.last_error)
         near = jnp.min(worst, axis=0) <= tolerance
         full = marched >= 2 * max_period
         streak = jnp.where(near & full, search.streak + 1, 0)
         lost = ~jnp.all(jnp.isfinite(history[0]), axis=0)
-        done = search.done | (streak >= STEADY) | lost | (marched >= max_periods)
-        return Search(
+        done = (streak >= STEADY) | lost | (marched >= max_periods)
+        search = Search(
             history=history,
-            last_error=jnp.where(live, error, search.last_error),
-            streak=jnp.where(live, streak, search.streak),
+            last_error=jnp.where(came, error, search.last_error),
+            streak=jnp.where(came, streak, search.streak),
             marched=marched,
-            steps=search.steps + jnp.where(live, steps, 0),
-            done=done,
+            steps=search.steps + jnp.where(came, steps, 0),
+            done=search.done | (came & done),
         )
+        # From the state, not from within a period: what lanes do depends on no other lane.
+        fresh = run.begin(history[0] / weight)
+        return search, jax.tree.map(lambda a, b: jnp.where(came, a, b), fresh, lanes)
 
-    return lax.while_loop(lambda s: jnp.sum(~s.done) > still, step, search)
+    first = search, run.begin(search.history[0] / weight)
+    return lax.while_loop(lambda carry: jnp.sum(~carry[0].done) > still, step, first)[0]
 
 
 def found_period(search: Search, tolerance: Float[Array, "*#lanes"]) -> Int[Array, "*lanes"]:

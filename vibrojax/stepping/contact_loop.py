@@ -47,6 +47,8 @@ class Flight(NamedTuple):
     """Stop that crosses there."""
     finished: Int[Array, "*#lanes"]
     rounds: Int[Array, "*#lanes"]
+    tolerance: Float[Array, "*#lanes"]
+    """Depth, m, that counts as none."""
     measures: Measures | None
 
 
@@ -100,6 +102,28 @@ class ContactLoop:
         angle = self.force.start_phase + self.force.angular_frequency * time
         return cosine(angle - np.reshape([np.pi / 2, 0.0], (2,) + (1,) * angle.ndim))
 
+    def blocks_of(
+        self, state: Float[Array, "states *#lanes"], phase: Phase, time: Number
+    ) -> Float[Array, "2 blocks *lanes"]:
+        """Block coordinates of a state (q, q') in its phase of contact."""
+        every = range(self.count)
+        flat = [apply_matrix(self.phases.from_state[p], state) - self.still(p, time) for p in every]
+        chosen = pick(phase, jnp.stack(flat))
+        return chosen.reshape(2, self.n, *chosen.shape[1:])
+
+    def state_of(self, blocks: Blocks, phase: Phase, time: Number) -> Float[Array, "states *lanes"]:
+        """State (q, q') of block coordinates."""
+        flat = blocks.reshape(2 * self.n, *blocks.shape[2:])
+        to_state, every = self.phases.to_state, range(self.count)
+        states = [apply_matrix(to_state[p], flat + self.still(p, time)) for p in every]
+        return pick(phase, jnp.stack(states))
+
+    def still(self, phase: int, time: Number) -> Float[Array, "states *lanes"]:
+        """Block coordinates of rest and the steady response."""
+        steady, (sine, cosine_) = self.force.blocks[phase], self.phasor(time)
+        rest = spread(self.phases.rest[phase], 1, self.lanes)
+        return rest + steady.real * sine + steady.imag * cosine_
+
     def pushed(self, blocks: Blocks, phase: Phase, time: Number, step: Number) -> Blocks:
         """Add what the drive does over a step to the blocks that it turns in resonance.
 
@@ -130,7 +154,7 @@ class ContactLoop:
         moved = once(lambda: turned(turn_over(decay, rate, span), flight.blocks))
         moved = self.pushed(moved, phase, flight.time, span)
         expected = jnp.where(whole, -1, sight.stop)
-        landing = once(lambda: self.land(moved, phase, flight.time, span, expected))
+        landing = once(lambda: self.land(flight, moved, span, expected))
         arrived = flight.time + span + landing.late
         rest = lambda: turned(short_turn(decay, rate, landing.late), moved)  # noqa: E731
         landed = self.pushed(once(rest), phase, flight.time + span, landing.late)
@@ -154,6 +178,7 @@ class ContactLoop:
             hinted=landing.hinted,
             finished=flight.finished + done,
             rounds=flight.rounds + live,
+            tolerance=flight.tolerance,
             measures=measures,
         )
 
@@ -162,8 +187,8 @@ class ContactLoop:
         time, stop = jnp.full_like(flight.scale, jnp.inf), jnp.full_like(flight.phase, -1)
         sight = Sight(time, stop, flight.scale)
         if self.outlook is not None:
-            wave, tolerance = self.phasor(flight.time), self.force.depth_tolerance
-            seen = self.outlook, flight.blocks, wave, flight.scale, tolerance
+            wave = self.phasor(flight.time)
+            seen = self.outlook, flight.blocks, wave, flight.scale, flight.tolerance
             outlook, blocks, wave, scale, tolerance = lax.stop_gradient(seen)
             sight = outlook.look(blocks, flight.phase, touching, wave, scale, tolerance, tick)
             hinted = flight.hint > 0
@@ -174,11 +199,10 @@ class ContactLoop:
             stop, time = jnp.where(time > longest, -1, stop), jnp.minimum(time, longest)
         return Sight(time, stop, sight.scale)
 
-    def land(
-        self, moved: Blocks, phase: Phase, begun: Number, span: Number, expected: Phase
-    ) -> Landing:
+    def land(self, flight: Flight, moved: Blocks, span: Number, expected: Phase) -> Landing:
         """What becomes of lanes that went for a time, to where a stop was `expected` to change."""
-        touching, tolerance = self.touching(phase), self.force.depth_tolerance
+        phase, begun, tolerance = flight.phase, flight.time, flight.tolerance
+        touching = self.touching(phase)
         none = jnp.full(span.shape, -1, jnp.int32)
         if self.outlook is None:
             return Landing(none > 0, none, 0 * span, 0 * span, none)

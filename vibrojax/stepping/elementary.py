@@ -41,7 +41,11 @@ def apply_matrix(
     """Matrix times vector, the matrix shared by all lanes or one for each."""
     if matrix.ndim == 2:
         return jnp.tensordot(matrix, vector, axes=1)
-    return jnp.einsum("ij...,j...->i...", matrix, vector)
+    # One fused loop over lanes, where a batch of products is one call for each of them.
+    total = matrix[:, 0] * vector[0]
+    for j in range(1, len(vector)):
+        total = total + matrix[:, j] * vector[j]
+    return total
 
 
 def pick(index: Int[Array, "*#lanes"], table: Array) -> Array:

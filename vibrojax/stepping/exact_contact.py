@@ -21,16 +21,19 @@ from vibrojax.model.drives import AbstractDrive, AbstractWaveform
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_loop import ContactLoop, Flight
 from vibrojax.stepping.contact_phases import ContactPhases, spread
-from vibrojax.stepping.elementary import apply_matrix, pick
+from vibrojax.stepping.elementary import apply_matrix
 from vibrojax.stepping.forcing import Forcing, forcing
 from vibrojax.stepping.measures import Measures, no_events, no_measures
 from vibrojax.stepping.phase_motion import contact_indicator, stop_push
 from vibrojax.stepping.replay import replayed_while
+from vibrojax.stepping.runs import AbstractRun
 
 lax = jax.lax
 
 ROUNDS = 4000
 """Rounds in a drive period before a lane is given up."""
+TOGETHER = 0.6
+"""Share of the lanes of a run that reach the end of their period before any goes on."""
 
 
 def march(
@@ -50,9 +53,45 @@ def march(
     loop = ContactLoop(phases, force, observe)
     target = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), loop.period.shape)
     flight = run(loop, state, loop.period, target, None)
-    end = leave(loop, flight, flight.time)
+    end = loop.state_of(flight.blocks, flight.phase, flight.time)
     end = jnp.where(flight.finished >= target, end, jnp.nan)
     return end, flight.rounds, flight.measures
+
+
+class ExactRun(AbstractRun):
+    """Lanes in exact contact: who arrives waits for some of the others, not for the slowest."""
+
+    def __init__(self, phases: ContactPhases, force: Forcing):
+        self.loop = ContactLoop(phases, force, observe=False)
+
+    def begin(self, state: Float[Array, "states *lanes"]) -> Flight:
+        """Put lanes at the beginning of a drive period."""
+        return enter(self.loop, state)
+
+    def go_on(
+        self, lanes: Flight, live: Bool[Array, "*lanes"]
+    ) -> tuple[Flight, Bool[Array, "*lanes"]]:
+        """Take live lanes further until enough are at the end of their period, or given up."""
+        loop, enough = self.loop, jnp.ceil(TOGETHER * jnp.sum(live))
+
+        def arrived(flight: Flight) -> Bool[Array, "*lanes"]:
+            return live & ((flight.finished > 0) | (flight.rounds >= ROUNDS))
+
+        def round_(carry: tuple[Flight, Int[Array, ""]]) -> tuple[Flight, Int[Array, ""]]:
+            flight, tick = carry
+            return loop.round(flight, live & ~arrived(flight), tick, loop.period), tick + 1
+
+        flight, _ = lax.while_loop(
+            lambda carry: jnp.sum(arrived(carry[0])) < enough, round_, (lanes, jnp.int32(0))
+        )
+        return flight, arrived(flight)
+
+    def arrived_at(
+        self, lanes: Flight
+    ) -> tuple[Float[Array, "states *lanes"], Int[Array, "*lanes"]]:
+        """Return the states of lanes at the end of their period, NaN where given up; rounds."""
+        end = self.loop.state_of(lanes.blocks, lanes.phase, jnp.zeros_like(lanes.time))
+        return jnp.where(lanes.finished > 0, end, jnp.nan), lanes.rounds
 
 
 def step_from(
@@ -99,7 +138,8 @@ def _step_lanes(
     force = forcing(phases, amplitude, rate, start_phase, duration)
     loop = ContactLoop(phases, force, observe=False)
     flight = run(loop, state, duration, jnp.ones(lanes, jnp.int32), max_attempts)
-    return jnp.where(flight.finished > 0, leave(loop, flight, duration), jnp.nan)
+    end = loop.state_of(flight.blocks, flight.phase, duration)
+    return jnp.where(flight.finished > 0, end, jnp.nan)
 
 
 @jax.custom_batching.custom_vmap
@@ -135,7 +175,7 @@ def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
     """Put a state (q, q') at time 0 into block coordinates."""
     force, phases = loop.force, loop.phases
     zero = jnp.zeros_like(force.angular_frequency)
-    wave = loop.phasor(zero)
+    tolerance = _no_depth(loop, state)
     position, speed = (apply_matrix(phases.towards_stop, half) for half in jnp.split(state, 2))
     depth = position - spread(phases.gap, 1, loop.lanes)
     stiffness, damping = (spread(a, 1, loop.lanes) for a in (phases.stiffness, phases.damping))
@@ -145,37 +185,23 @@ def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
     touching = indicator > 0
     if all(phases.can_pull):
         # As close as a landing counts as crossing: where it is going says on which side it is.
-        touching = jnp.where(jnp.abs(indicator) <= force.depth_tolerance, rate > 0, touching)
+        touching = jnp.where(jnp.abs(indicator) <= tolerance, rate > 0, touching)
     phase = jnp.broadcast_to(loop.phase_of(touching), zero.shape)
 
-    def blocks_of(p: int) -> Float[Array, "states *#lanes"]:
-        steady = force.blocks[p]
-        forced = steady.real * wave[0] + steady.imag * wave[1]
-        rest = spread(phases.rest[p], 1, loop.lanes)
-        return apply_matrix(phases.from_state[p], state) - forced - rest
-
-    blocks = pick(phase, jnp.stack([blocks_of(p) for p in range(loop.count)]))
-    blocks = blocks.reshape(2, loop.n, *blocks.shape[1:])
+    blocks = loop.blocks_of(state, phase, zero)
     count = jnp.zeros(zero.shape, jnp.int32)
     measures = no_measures(zero)._replace(events=no_events(phase)) if loop.observe else None
-    return Flight(blocks, phase, zero, zero + 1, zero, count, count, count, measures)
+    return Flight(blocks, phase, zero, zero + 1, zero, count, count, count, tolerance, measures)
 
 
-def leave(
-    loop: ContactLoop, flight: Flight, time: Float[Array, "*#lanes"]
-) -> Float[Array, "states *#lanes"]:
-    """State (q, q') of a flight, at its time."""
-    force, phases = loop.force, loop.phases
-    wave = loop.phasor(time)
-    flat = flight.blocks.reshape(2 * loop.n, *flight.blocks.shape[2:])
-
-    def state_of(p: int) -> Float[Array, "states *#lanes"]:
-        steady = force.blocks[p]
-        forced = steady.real * wave[0] + steady.imag * wave[1]
-        rest = spread(phases.rest[p], 1, loop.lanes)
-        return apply_matrix(phases.to_state[p], flat + forced + rest)
-
-    return pick(flight.phase, jnp.stack([state_of(p) for p in range(loop.count)]))
+def _no_depth(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Float[Array, "*lanes"]:
+    """Depth, m, that counts as none."""
+    # A stop without gap on a body without drive has no length of its own: take the state's.
+    weight = spread(loop.phases.towards_stop, 2, loop.lanes)
+    q, v = jnp.split(lax.stop_gradient(jnp.abs(state)), 2)
+    reach = q + v / loop.force.angular_frequency
+    size = jnp.max(jnp.sum(jnp.abs(weight) * reach, axis=1), axis=0, initial=0.0)
+    return jnp.maximum(loop.force.depth_tolerance, 1e-9 * size)
 
 
 def run(
@@ -186,14 +212,6 @@ def run(
     max_attempts: int | None,
 ) -> Flight:
     """Fly every lane `target` times over the duration, starting each time at drive time 0."""
-    # A stop without gap on a body without drive has no length of its own: take the state's.
-    weight = spread(loop.phases.towards_stop, 2, loop.lanes)
-    q, v = jnp.split(lax.stop_gradient(jnp.abs(state)), 2)
-    reach = q + v / loop.force.angular_frequency
-    size = jnp.max(jnp.sum(jnp.abs(weight) * reach, axis=1), axis=0, initial=0.0)
-    floor = jnp.broadcast_to(1e-9 * size, loop.force.depth_tolerance.shape)
-    tolerance = jnp.maximum(loop.force.depth_tolerance, floor)
-    loop.force = loop.force._replace(depth_tolerance=tolerance)
     flight = enter(loop, state)
     budget = jnp.minimum(target.astype(float) * ROUNDS, 2e9).astype(jnp.int32)
 

@@ -21,8 +21,9 @@ from vibrojax.model.systems import Motion
 from vibrojax.stepping import exact_contact, splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases, phases_of
 from vibrojax.stepping.cubic import cubic_between
-from vibrojax.stepping.forcing import forcing, longest_step
+from vibrojax.stepping.forcing import Forcing, forcing, longest_step
 from vibrojax.stepping.measures import Measures
+from vibrojax.stepping.runs import AbstractRun, EqualRun
 
 States = Float[Array, "states *lanes"]
 Lanes = Float[Array, "*lanes"]
@@ -51,6 +52,10 @@ class AbstractMarch(eqx.Module):
         Returns the states, the steps taken, and the measures if `observe`. A lane that cannot go
         on has a state that is not finite.
         """
+
+    def run_at(self, angular_frequency: Lanes) -> AbstractRun:
+        """Make lanes at their drive frequencies ready to go on from period to period."""
+        return EqualRun(self, angular_frequency)
 
     @abstractmethod
     def energy_weight(self) -> States:
@@ -184,16 +189,20 @@ class ExactMarch(AbstractMarch):
         self, state: States, angular_frequency: Lanes, periods: Counts, observe: bool
     ) -> tuple[States, Counts, Measures | None]:
         """March with exact propagators; see `exact_contact.march`."""
+        force = self.force_at(angular_frequency)
+        return exact_contact.march(self.phases, force, state, periods, observe=observe)
+
+    def run_at(self, angular_frequency: Lanes) -> exact_contact.ExactRun:
+        """Make lanes at their drive frequencies ready to go on from period to period."""
+        return exact_contact.ExactRun(self.phases, self.force_at(angular_frequency))
+
+    def force_at(self, angular_frequency: Lanes) -> Forcing:
+        """Tabulate what the drive does."""
         step = longest_step(self.phases, angular_frequency, self.tolerance, self.steps_per_period)
         zero = jnp.zeros_like(angular_frequency)
-        force = forcing(
-            self.phases,
-            self.drive.complex_amplitude(angular_frequency, zero),
-            angular_frequency,
-            zero,
-            step / measuring(self.tolerance) if observe else step,
-        )
-        return exact_contact.march(self.phases, force, state, periods, observe=observe)
+        amplitude = self.drive.complex_amplitude(angular_frequency, zero)
+        measured = step / measuring(self.tolerance)
+        return forcing(self.phases, amplitude, angular_frequency, zero, measured)
 
     def energy_weight(self) -> States:
         """Return weights that make (q, q') comparable."""
