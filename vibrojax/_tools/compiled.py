@@ -195,7 +195,8 @@ def _kind(dtype: Any, wide: bool) -> str:
 
 
 def _signature(arrays: Sequence[Any], parts: Parts) -> Signature:
-    shapes = iter([(a.shape, _kind(a.dtype, jax.config.jax_enable_x64)) for a in arrays])
+    wide = bool(jax.config.read("jax_enable_x64"))
+    shapes = iter([(a.shape, _kind(a.dtype, wide)) for a in arrays])
     return Signature(
         parts.structure,
         # 1 and True are equal, NaN is not to itself.

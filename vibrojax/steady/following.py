@@ -198,7 +198,7 @@ class _Lanes:
         return state, matrix, slope, late + apply_matrix(passed.delays, change)
 
 
-def _predicted(track: Track, w: Array) -> tuple[Float[Array, " states"], Float[Array, " events"]]:
+def _predicted(track: Track, w: Float[Array, " lanes"]) -> tuple[Array, Array]:
     """State and times at a frequency: the cubic through two points, a straight line from one."""
     way = w - track.frequency[0]
     back = track.frequency[0] - track.frequency[1]

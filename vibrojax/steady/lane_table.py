@@ -12,9 +12,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-
-from vibrojax._tools.types import AnyArray
 
 Kinds = tuple[tuple[tuple[int, ...], str], ...]
 
@@ -27,7 +24,8 @@ PLACE = "array"
 class LaneTable:
     """A tree of arrays of lanes; what is no array in it is kept as it is."""
 
-    numbers: Float[AnyArray, "lanes columns"]
+    numbers: Any
+    """Shape (lanes, columns); stands for other things where JAX takes trees apart."""
     like: Any
     """The tree, `PLACE` in the place of arrays."""
     kinds: Kinds = field(metadata={"static": True})
