@@ -13,6 +13,7 @@ import vibrojax as vj
 from vibrojax.stepping import exact_contact
 from vibrojax.stepping.contact_phases import contact_phases
 from vibrojax.stepping.forcing import forcing, longest_step
+from vibrojax.stepping.gauge import Ruler
 
 PERIODS = 8
 RATIOS = jnp.array([0.72, 0.95, 1.05, 1.15, 1.22, 1.4])
@@ -39,14 +40,13 @@ def run(march, state, angular_frequency, periods=PERIODS, observe=False):
 
 
 @eqx.filter_jit
-def run_free(phases, state, angular_frequency, periods, amplitude=0.0, step=None):
+def run_free(phases, state, angular_frequency, periods, amplitude=0.0):
     """March with any amplitude of the input, also none, and count contacts."""
     w = jnp.asarray(angular_frequency, float)
-    if step is None:
-        step = longest_step(phases, w, 1e-8, None)
     amplitude = jnp.broadcast_to(jnp.asarray(amplitude, complex), w.shape)
-    force = forcing(phases, amplitude, w, jnp.zeros_like(w), step)
-    return exact_contact.march(phases, force, state, jnp.asarray(periods, jnp.int32), observe=True)
+    force = forcing(phases, amplitude, w, jnp.zeros_like(w))
+    ruler = Ruler(jnp.asarray(1e-12), jnp.asarray(jnp.inf))
+    return exact_contact.march(phases, force, state, jnp.asarray(periods, jnp.int32), ruler=ruler)
 
 
 @eqx.filter_jit
@@ -199,7 +199,7 @@ def test_restitution_of_a_kelvin_voigt_stop(oscillator, tension, z):
 def test_overdamped_single_mass(oscillator):
     equations = oscillator(frequency=1.0, stiffness=50.0, damping=40.0, gap=0.5)
     phases = contact_phases(equations)
-    step = longest_step(phases, jnp.asarray(1.0), 1e-6, None)
+    step = longest_step(phases, jnp.asarray(1.0), 1e-6)
     assert 0 < step < 1
     end, _, measures = run_free(phases, jnp.array([0.0, 1.0]), 2 * math.pi / 3, 1)
 

@@ -136,9 +136,7 @@ class _Lanes:
 
     def at(self, w: Float[Array, " lanes"]) -> KnownContacts:
         """The lanes at a drive frequency, rad/s."""
-        return KnownContacts(
-            ContactLoop(self.march.phases, self.march.force_at(w), False), self.events
-        )
+        return KnownContacts(ContactLoop(self.march.phases, self.march.force_at(w)), self.events)
 
     def begin(self, at: KnownContacts, state: Float[Array, "states lanes"]) -> Array:
         """Block coordinates at the section of a state in units of energy."""

@@ -7,6 +7,7 @@ orbit; only a stable orbit, close to where the march was, is accepted, so the ma
 which attractor it is. The rest marches on.
 """
 
+from functools import reduce
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -43,7 +44,9 @@ class Search(NamedTuple):
 
 
 def _size(weighted: Float[Array, "..."], axis: int) -> Array:
-    return jnp.sqrt(jnp.sum(weighted**2, axis=axis))
+    # One fused loop over lanes, where a reduction is not vectorised.
+    parts = jnp.moveaxis(weighted, axis, 0) ** 2
+    return jnp.sqrt(reduce(jnp.add, list(parts)))
 
 
 def _return_errors(history, max_period):
@@ -51,19 +54,14 @@ def _return_errors(history, max_period):
 
     The returns of a converging motion shrink geometrically; their sum is what is left.
     """
-    now = history[0]
-    size = jnp.maximum(jnp.max(_size(history, 1), axis=0), jnp.finfo(now.dtype).tiny)
-    errors, returns = [], []
-    for n in range(1, max_period + 1):
-        recent = _size(history[0] - history[n], 0)
-        before = _size(history[n] - history[2 * n], 0)
-        ratio = jnp.where(before > 0, recent / jnp.where(before > 0, before, 1.0), 0.0)
-        left = jnp.where(ratio < 1, recent * ratio / jnp.where(ratio < 1, 1 - ratio, 1.0), jnp.inf)
-        # At round-off level the ratio says nothing any more.
-        left = jnp.where(recent < 1e-12 * size, recent, jnp.maximum(left, recent * 0.1))
-        errors.append(left / size)
-        returns.append(recent / size)
-    return jnp.stack(errors), jnp.stack(returns)
+    now, before_now, twice = history[0], history[1 : max_period + 1], history[2::2]
+    size = reduce(jnp.maximum, list(_size(history, 1)), jnp.finfo(now.dtype).tiny)
+    recent, before = _size(now - before_now, 1), _size(before_now - twice, 1)
+    ratio = jnp.where(before > 0, recent / jnp.where(before > 0, before, 1.0), 0.0)
+    left = jnp.where(ratio < 1, recent * ratio / jnp.where(ratio < 1, 1 - ratio, 1.0), jnp.inf)
+    # At round-off level the ratio says nothing any more.
+    left = jnp.where(recent < 1e-12 * size, recent, jnp.maximum(left, recent * 0.1))
+    return left / size, recent / size
 
 
 def begin_search(

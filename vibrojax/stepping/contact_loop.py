@@ -1,7 +1,6 @@
 """The loop of exact contact: every lane from one change of contact to the next, at its own pace."""
 
 from collections.abc import Sequence
-from functools import partial, reduce
 from typing import NamedTuple
 
 import jax
@@ -11,13 +10,14 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from vibrojax._tools.trigonometry import cosine
 from vibrojax.stepping.contact_phases import ContactPhases, spread
-from vibrojax.stepping.cubic import cubic_maximum
 from vibrojax.stepping.elementary import apply_matrix, computed_once, pick, where_needed
 from vibrojax.stepping.forcing import Forcing
-from vibrojax.stepping.measures import Measures, Segment
+from vibrojax.stepping.gauge import Gauge, Ruler, Stretches
+from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.outlook import Sight, outlook_of
 from vibrojax.stepping.resonance import driven_growth
-from vibrojax.stepping.turns import doubled, product, short_turn, squares, turn_over, turned
+from vibrojax.stepping.signals import turning_of, with_wave
+from vibrojax.stepping.turns import short_turn, turn_over, turned
 
 lax = jax.lax
 
@@ -28,9 +28,6 @@ Blocks = Float[Array, "2 blocks *#shape"]
 Which = Bool[Array, "stops *#lanes"]
 Wave = Float[Array, "2 *#shape"]
 Tick = Int[Array, ""]
-
-CELLS = 64
-"""Steps of equal length in which a flight is measured; a power of two."""
 
 
 class Flight(NamedTuple):
@@ -50,6 +47,8 @@ class Flight(NamedTuple):
     tolerance: Float[Array, "*#lanes"]
     """Depth, m, that counts as none."""
     measures: Measures | None
+    passed: Stretches | None
+    """What is to be measured yet."""
 
 
 class Landing(NamedTuple):
@@ -68,20 +67,24 @@ class Landing(NamedTuple):
 class ContactLoop:
     """One round of all lanes, over tables that stay fixed while the loop runs."""
 
-    def __init__(self, phases: ContactPhases, force: Forcing, observe: bool):
-        self.phases, self.force, self.observe = phases, force, observe
+    def __init__(self, phases: ContactPhases, force: Forcing, ruler: Ruler | None = None):
+        self.phases, self.force = phases, force
         self.lanes = force.angular_frequency.ndim
         self.stops, self.n = phases.num_stops, phases.num_blocks
         self.count = 2**self.stops
         self.exponent = spread(phases.exponent, 3, self.lanes)
         self.rate = spread(phases.rate, 2, self.lanes)
         self.period = 2 * jnp.pi / force.angular_frequency
-        self.outlook = outlook_of(phases, force) if self.stops else None
+        turning = turning_of(phases, force)
+        self.outlook = outlook_of(phases, force, turning) if self.stops else None
         change = phases.change
         self.change = change.reshape(-1, *change.shape[3:])
         self.change_rest = spread(phases.change_rest, 3, self.lanes)
         self.change_wave = force.change.real, force.change.imag
         self.resonant = jnp.any(force.driven != 0)
+        self.gauge = None
+        if ruler is not None:
+            self.gauge = Gauge(phases, force, turning, ruler, self.grown, self.resonant)
         self.bits = self.column([1 << s for s in range(self.stops)]).astype(np.int32)
         self.numbers = self.column(range(self.stops)).astype(np.int32)
 
@@ -125,22 +128,18 @@ class ContactLoop:
         return rest + steady.real * sine + steady.imag * cosine_
 
     def pushed(self, blocks: Blocks, phase: Phase, time: Number, step: Number) -> Blocks:
-        """Add what the drive does over a step to the blocks that it turns in resonance.
+        """Add what the drive does over a step to the blocks that it turns in resonance."""
+        return where_needed(self.resonant, lambda: blocks + self.grown(phase, time, step), blocks)
 
-        Blocks and step may have an axis before the lanes.
-        """
-
-        def add():
-            decay, rate = pick(phase, self.exponent)[0], pick(phase, self.rate)
-            driven = pick(phase, self.force.driven)
-            if step.ndim > self.lanes:
-                decay, rate, driven = decay[:, None], rate[:, None], driven[:, None]
-            frequency = self.force.angular_frequency
-            angle = self.force.start_phase + frequency * time
-            added = driven_growth(decay, rate, driven, angle, frequency, step)
-            return blocks + added.reshape(blocks.shape)
-
-        return where_needed(self.resonant, add, blocks)
+    def grown(self, phase: Phase, time: Number, step: Number) -> Blocks:
+        """What the drive in resonance adds over steps, which may have an axis before the lanes."""
+        decay, rate = pick(phase, self.exponent)[0], pick(phase, self.rate)
+        driven, w = pick(phase, self.force.driven), self.force.angular_frequency
+        if step.ndim > self.lanes:
+            decay, rate, driven = decay[:, None], rate[:, None], driven[:, None]
+        angle = self.force.start_phase + w * time
+        added = driven_growth(decay, rate, driven, angle, w, step)
+        return added.reshape(2, self.n, *added.shape[1:])
 
     def round(self, flight: Flight, live: Whether, tick: Tick, until: Number) -> Flight:
         """Take live lanes to their next change of contact, or to the time at which a run ends."""
@@ -165,22 +164,37 @@ class ContactLoop:
             blocks = jnp.where(flips, changed, landed)
             new_phase = phase ^ self.phase_of(flips & (self.numbers == landing.stop))
         done = kept & whole & ~flips
-        measures = flight.measures
-        if measures is not None:
-            segment = self.segment(flight, touching, span + landing.late, landing.stop, tick)
-            measures = measures.add(segment, kept)
+        measures, passed = flight.measures, flight.passed
+        if self.gauge is not None and measures is not None and passed is not None:
+            duration = span + landing.late
+            angle = self.force.start_phase + self.force.angular_frequency * arrived
+            entries = jnp.sum((landing.stop == self.numbers) & ~touching, axis=0, dtype=jnp.int32)
+            measures = measures.passed(duration, jnp.any(touching, axis=0), entries, kept)
+            measures = measures.noted(landing.stop, angle, kept)
+            begun = with_wave(flight.blocks, self.phasor(flight.time))
+            stretch = self.gauge.stretch(begun, phase, flight.time, duration, touching)
+            passed = passed.add(stretch, kept)
         return Flight(
             blocks=jnp.where(kept, blocks, flight.blocks),
             phase=new_phase,
             time=jnp.where(kept, jnp.where(done, 0.0, arrived), flight.time),
             scale=jnp.where(kept, sight.scale, flight.scale),
-            hint=landing.hint,
-            hinted=landing.hinted,
+            hint=jnp.where(live, landing.hint, flight.hint),
+            hinted=jnp.where(live, landing.hinted, flight.hinted),
             finished=flight.finished + done,
             rounds=flight.rounds + live,
             tolerance=flight.tolerance,
             measures=measures,
+            passed=passed,
         )
+
+    def measured(self, flight: Flight) -> Flight:
+        """Measure what lanes have gone through."""
+        gauge, passed, measures = self.gauge, flight.passed, flight.measures
+        if gauge is None or passed is None or measures is None:
+            return flight
+        measures = gauge.measure(passed, measures, self.touching, self.phasor)
+        return flight._replace(passed=passed.forgotten(), measures=measures)
 
     def look(self, flight: Flight, touching: Which, tick: Tick) -> Sight:
         """How far a lane may go, or is to go to land on a crossing."""
@@ -194,9 +208,6 @@ class ContactLoop:
             hinted = flight.hint > 0
             time = jnp.where(hinted, flight.hint, sight.time)
             stop = jnp.where(hinted, flight.hinted, sight.stop)
-        if self.observe:
-            longest = lax.stop_gradient(CELLS * self.force.longest_step)
-            stop, time = jnp.where(time > longest, -1, stop), jnp.minimum(time, longest)
         return Sight(time, stop, sight.scale)
 
     def land(self, flight: Flight, moved: Blocks, span: Number, expected: Phase) -> Landing:
@@ -246,55 +257,3 @@ class ContactLoop:
         rows = rows + self.change_rest
         rows = rows + self.change_wave[0] * sine + self.change_wave[1] * cosine_
         return pick(stop, pick(phase, rows)).reshape(landed.shape)
-
-    def segment(
-        self, flight: Flight, touching: Which, duration: Number, stop: Phase, tick: Tick
-    ) -> Segment:
-        """What the measures see of a flight, in steps of equal length along the first axis."""
-        k, phase = self.stops, flight.phase
-        cell = duration / CELLS
-        decay, rate = pick(phase, self.exponent), pick(phase, self.rate)
-        turn = computed_once(tick, lambda: turn_over(decay, rate, cell))
-        turns = squares(turn, CELLS.bit_length(), tick)
-        first = flight.blocks[:, :, None]
-        end = turned(turns[-1], flight.blocks)[:, :, None]
-        blocks = jnp.concatenate([doubled(turned, turns[:-1], first, tick), end], axis=2)
-        share = jnp.arange(CELLS + 1).reshape((-1,) + (1,) * self.lanes)
-        blocks = self.pushed(blocks, phase, flight.time, share * cell)
-
-        def read_all():
-            rows = pick(phase, spread(self.phases.readout, 3, self.lanes))
-            rows = jnp.moveaxis(rows.reshape(rows.shape[0], 2, self.n, *rows.shape[2:]), 0, 2)
-            return product(rows[:, :, :, None], blocks[:, :, None])
-
-        def add_wave(read):
-            sine, cosine_ = self.phasor(flight.time + share * cell)
-            rest = pick(phase, spread(self.phases.readout_rest, 2, self.lanes))[:, None]
-            wave = pick(phase, self.force.readout)[:, None]
-            return read + rest + wave.real * sine + wave.imag * cosine_
-
-        read = computed_once(tick, partial(add_wave, computed_once(tick, read_all)))
-        depth, speed, acceleration = read[:k], read[k : 2 * k], read[2 * k : 3 * k]
-        stiffness, damping = (
-            spread(a, 1, self.lanes)[:, None] for a in (self.phases.stiffness, self.phases.damping)
-        )
-        force, change = (
-            stiffness * depth + damping * speed,
-            stiffness * speed + damping * acceleration,
-        )
-        ends = slice(None, -1), slice(1, None)
-        first, last = ((force[:, end], change[:, end] * cell) for end in ends)
-        peak = jnp.where(touching[:, None], cubic_maximum(*first, *last), 0.0)
-        changed = stop == self.numbers
-        return Segment(
-            duration=jnp.broadcast_to(cell, peak.shape[1:]),
-            angle=self.force.start_phase
-            + self.force.angular_frequency * (flight.time + share[:-1] * cell),
-            angle_rate=self.force.angular_frequency,
-            response=(read[3 * k, :-1], read[3 * k, 1:]),
-            response_rate=(read[3 * k + 1, :-1], read[3 * k + 1, 1:]),
-            force=reduce(jnp.maximum, peak, jnp.zeros(peak.shape[1:])),
-            touches=jnp.any(touching, axis=0),
-            entries=jnp.sum(changed & ~touching, axis=0, dtype=jnp.int32),
-            changed=stop,
-        )

@@ -1,9 +1,12 @@
-"""The cubic through values and slopes at both ends of an interval, in arrays of JAX."""
+"""The cubic through values and slopes at both ends of an interval, in arrays of JAX.
+
+And the quintic that has the right curvatures there too.
+"""
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 Values = Float[Array, "..."]
 Places = Float[ArrayLike, "..."]
@@ -69,3 +72,22 @@ def cubic_maximum(start: Values, start_slope: Values, end: Values, end_slope: Va
     """Maximum on [0, 1] of the cubic with these end values and end slopes."""
     _, peak = cubic_between(start, start_slope, end, end_slope).peak()
     return jnp.maximum(jnp.maximum(start, end), peak)
+
+
+def quintic_maximum(
+    start: tuple[Values, ...], end: tuple[Values, ...]
+) -> tuple[Bool[Array, "..."], Values, Values]:
+    """Maximum on [0, 1] of quintics from values and two derivatives at both ends.
+
+    Returns whether it is between the ends, where, and the value there. It is taken where the cubic
+    has its maximum: the quintic's is higher by what is of the order of the quintic's own error.
+    """
+    (y0, v0, a0), (y1, v1, a1) = start, end
+    cubic = cubic_between(y0, v0, y1, v1)
+    u, peak = cubic.peak()
+    first, last = a0 / 2 - cubic.curve, a1 / 2 - cubic.curve - 3 * cubic.bend
+    more = (u * (1 - u)) ** 2 * (first * (1 - u) + last * u)
+    highest = jnp.maximum(y0, y1)
+    inside = peak + more > highest
+    place = jnp.where(inside, u, jnp.where(y1 > y0, 1.0, 0.0))
+    return inside, place, jnp.where(inside, peak + more, highest)

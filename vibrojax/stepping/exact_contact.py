@@ -23,6 +23,7 @@ from vibrojax.stepping.contact_loop import ContactLoop, Flight
 from vibrojax.stepping.contact_phases import ContactPhases, spread
 from vibrojax.stepping.elementary import apply_matrix
 from vibrojax.stepping.forcing import Forcing, forcing
+from vibrojax.stepping.gauge import Ruler, no_stretches
 from vibrojax.stepping.measures import Measures, no_events, no_measures
 from vibrojax.stepping.phase_motion import contact_indicator, stop_push
 from vibrojax.stepping.replay import replayed_while
@@ -32,7 +33,7 @@ lax = jax.lax
 
 ROUNDS = 4000
 """Rounds in a drive period before a lane is given up."""
-TOGETHER = 0.6
+TOGETHER = 0.3
 """Share of the lanes of a run that reach the end of their period before any goes on."""
 
 
@@ -42,15 +43,15 @@ def march(
     state: Float[Array, "states *#lanes"],
     periods: int | Int[Array, "*#lanes"] = 1,
     *,
-    observe: bool = False,
+    ruler: Ruler | None = None,
 ) -> tuple[Float[Array, "states *#lanes"], Int[Array, "*#lanes"], Measures | None]:
     """March every lane over its number of drive periods, each at its own pace.
 
-    Returns the states (q, q'), the rounds made, and the measures where `observe` asks for them.
+    Returns the states (q, q'), the rounds made, and the measures where there is a `ruler` for them.
     A lane that takes more than `ROUNDS` rounds for a drive period is left where it is,
     with fewer periods behind it, and its state is NaN: the caller flags it.
     """
-    loop = ContactLoop(phases, force, observe)
+    loop = ContactLoop(phases, force, ruler)
     target = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), loop.period.shape)
     flight = run(loop, state, loop.period, target, None)
     end = loop.state_of(flight.blocks, flight.phase, flight.time)
@@ -62,7 +63,7 @@ class ExactRun(AbstractRun):
     """Lanes in exact contact: who arrives waits for some of the others, not for the slowest."""
 
     def __init__(self, phases: ContactPhases, force: Forcing):
-        self.loop = ContactLoop(phases, force, observe=False)
+        self.loop = ContactLoop(phases, force)
 
     def begin(self, state: Float[Array, "states *lanes"]) -> Flight:
         """Put lanes at the beginning of a drive period."""
@@ -135,8 +136,8 @@ def _step_lanes(
         jnp.broadcast_to(a, lanes) for a in (amplitude, rate, start_phase, duration)
     )
     state = jnp.broadcast_to(spread(state, 1, len(lanes)), (state.shape[0], *lanes))
-    force = forcing(phases, amplitude, rate, start_phase, duration)
-    loop = ContactLoop(phases, force, observe=False)
+    force = forcing(phases, amplitude, rate, start_phase)
+    loop = ContactLoop(phases, force)
     flight = run(loop, state, duration, jnp.ones(lanes, jnp.int32), max_attempts)
     end = loop.state_of(flight.blocks, flight.phase, duration)
     return jnp.where(flight.finished > 0, end, jnp.nan)
@@ -190,8 +191,13 @@ def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
 
     blocks = loop.blocks_of(state, phase, zero)
     count = jnp.zeros(zero.shape, jnp.int32)
-    measures = no_measures(zero)._replace(events=no_events(phase)) if loop.observe else None
-    return Flight(blocks, phase, zero, zero + 1, zero, count, count, count, tolerance, measures)
+    measures = passed = None
+    if loop.gauge is not None:
+        measures = no_measures(zero)._replace(events=no_events(phase))
+        passed = no_stretches(blocks)
+    return Flight(
+        blocks, phase, zero, zero + 1, zero, count, count, count, tolerance, measures, passed
+    )
 
 
 def _no_depth(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Float[Array, "*lanes"]:
@@ -215,18 +221,28 @@ def run(
     flight = enter(loop, state)
     budget = jnp.minimum(target.astype(float) * ROUNDS, 2e9).astype(jnp.int32)
 
-    def live(flight: Flight) -> Bool[Array, "*lanes"]:
+    def left(flight: Flight) -> Bool[Array, "*lanes"]:
         return (flight.finished < target) & (flight.rounds < budget)
+
+    def live(flight: Flight) -> Bool[Array, "*lanes"]:
+        # Who has no place to note where it was waits until that is measured.
+        return left(flight) & (True if flight.passed is None else flight.passed.has_room())
 
     def round_(flight: Flight, tick: Int[Array, ""]) -> Flight:
         return loop.round(flight, live(flight), tick, duration)
 
-    if max_attempts is None:
-        flight, _ = lax.while_loop(
+    if max_attempts is not None:
+        return replayed_while(lambda f: jnp.any(live(f)), round_, flight, max_attempts)
+
+    def further(flight: Flight) -> Flight:
+        return lax.while_loop(
             lambda carry: jnp.any(live(carry[0])),
             lambda carry: (round_(*carry), carry[1] + 1),
             (flight, jnp.int32(0)),
-        )
-    else:
-        flight = replayed_while(lambda f: jnp.any(live(f)), round_, flight, max_attempts)
-    return flight
+        )[0]
+
+    if loop.gauge is None:
+        return further(flight)
+    return lax.while_loop(
+        lambda flight: jnp.any(left(flight)), lambda flight: loop.measured(further(flight)), flight
+    )

@@ -20,7 +20,7 @@ TOUCH = 1e-9
 
 
 class Forcing(NamedTuple):
-    """Tables of one drive frequency, split into sine and cosine, and where to measure."""
+    """Tables of one drive frequency, split into sine and cosine."""
 
     angular_frequency: Float[Array, "*#lanes"]
     start_phase: Float[Array, "*#lanes"]
@@ -29,7 +29,6 @@ class Forcing(NamedTuple):
     """Input of blocks in resonance, which have no steady response."""
     readout: Complex[Array, "phases rows *#lanes"]
     change: Complex[Array, "phases stops states *#lanes"]
-    longest_step: Float[Array, "*#lanes"]
     depth_tolerance: Float[Array, "*#lanes"]
 
 
@@ -38,7 +37,6 @@ def forcing(
     amplitude: Complex[Array, "*#lanes"],
     angular_frequency: Float[Array, "*#lanes"],
     start_phase: Float[Array, "*#lanes"],
-    longest_step: Float[Array, "*#lanes"],
 ) -> Forcing:
     """Tabulate what a harmonic input Im(amplitude exp(i phase)) does in every phase."""
     stops, count = phases.num_stops, 2**phases.num_stops
@@ -62,7 +60,6 @@ def forcing(
         driven=driven,
         readout=read,
         change=change,
-        longest_step=longest_step,
         depth_tolerance=jnp.broadcast_to(TOUCH * size, angular_frequency.shape),
     )
 
@@ -96,16 +93,12 @@ def longest_step(
     phases: ContactPhases,
     angular_frequency: Float[Array, "*#lanes"],
     tolerance: Float[ArrayLike, "*#lanes"],
-    steps_per_period: int | None,
 ) -> Float[Array, "*#lanes"]:
-    """Longest step, s: short against a contact and against the drive period.
+    """Longest step that diffrax is to take, s: short against a contact and the drive period.
 
-    Propagation is exact at any step, and a march takes none: these are the steps in which a motion
-    is measured (finer still), and those of diffrax.
+    Propagation is exact at any step, and a march takes none.
     """
     period = 2 * jnp.pi / angular_frequency
-    if steps_per_period is not None:
-        return period / steps_per_period
     per_contact = 10.0 * (1e-3 / tolerance) ** 0.085
     contact = 2 * jnp.pi / spread(contact_rates(phases), 0, angular_frequency.ndim)
     return jnp.minimum(contact / per_contact, period / 16)

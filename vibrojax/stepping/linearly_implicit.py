@@ -239,7 +239,7 @@ def _march(march, axis, state, frequency, periods, observe):
     zero = jnp.zeros_like(frequency)
     amplitude = march.drive.complex_amplitude(frequency, zero)
     turn = 2 * jnp.pi / count
-    spin = jnp.exp(1j * turn)
+    back, ahead, spin = (jnp.exp(half * 1j * turn) for half in (-0.5, 0.5, 1.0))
     refinements = march.refinements
 
     def advance(equations, table, state, step, drive_input):
@@ -253,15 +253,16 @@ def _march(march, axis, state, frequency, periods, observe):
         k, state, wave, reading, measures = carry
         live = k < total
         # A rotating phasor, set right at every period: no sine in the loop.
-        wave = jnp.where(k % count == 0, jnp.exp(0.5j * turn), wave)
+        wave = jnp.where(k % count == 0, ahead, wave)
         new = one(march.equations, table, state, step, (amplitude * wave).imag)
         new = jnp.where(live[:, None], new, state)
         if measures is not None:
             (y0, v0, f0, t0), after = reading, read(march.equations, new)
             y1, v1, f1, t1 = after
+            start, end = (jnp.stack([a.imag, a.real]) for a in (wave * back, wave * ahead))
             part = Segment(
                 step,
-                (k % count) * turn,
+                (start, end),
                 frequency,
                 (y0, y1),
                 (v0, v1),

@@ -1,12 +1,10 @@
 """What is measured of a response while it is marched: extremes, means, contacts."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from vibrojax._tools.trigonometry import cosine, sine
 from vibrojax.stepping.cubic import cubic_maximum
 
 MOST_EVENTS = 16
@@ -14,15 +12,12 @@ MOST_EVENTS = 16
 
 
 class Segment(NamedTuple):
-    """A step, on which the response is a cubic: (start, end) of values and rates.
-
-    All but what touches and changes may have a first axis of steps one after another.
-    """
+    """A step, on which the response is a cubic: (start, end) of values and rates."""
 
     duration: Float[Array, "*lanes"]
-    angle: Float[Array, "*lanes"]
-    """Phase of the drive at the start, rad."""
-    angle_rate: Float[Array, "*lanes"]
+    wave: tuple[Float[Array, "2 *lanes"], Float[Array, "2 *lanes"]]
+    """Sine and cosine of the drive phase."""
+    angular_frequency: Float[Array, "*lanes"]
     response: tuple[Float[Array, "*lanes"], Float[Array, "*lanes"]]
     response_rate: tuple[Float[Array, "*lanes"], Float[Array, "*lanes"]]
     force: Float[Array, "*lanes"]
@@ -30,8 +25,6 @@ class Segment(NamedTuple):
     touches: Bool[Array, "*lanes"]
     entries: Int[Array, "*lanes"]
     """How many stops were touched at the end of the step."""
-    changed: Int[Array, "*lanes"] | None = None
-    """Stop that changed its contact at the end, -1 where none did; None where nobody notes it."""
 
 
 class EventLog(NamedTuple):
@@ -89,57 +82,70 @@ class Measures(NamedTuple):
         cubic through both ends.
         """
         (y0, y1), (v0, v1), h = part.response, part.response_rate, part.duration
-        high = cubic_maximum(y0, v0 * h, y1, v1 * h)
-        low = -cubic_maximum(-y0, -v0 * h, -y1, -v1 * h)
+        ((s0, c0), (s1, c1)), w = part.wave, part.angular_frequency
 
         def integral(f0, g0, f1, g1):
             return h / 2 * (f0 + f1) + h**2 / 12 * (g0 - g1)
 
-        end = part.angle + part.angle_rate * h
-        s0, c0, s1, c1 = sine(part.angle), cosine(part.angle), sine(end), cosine(end)
-        w = part.angle_rate
+        high = cubic_maximum(y0, v0 * h, y1, v1 * h)
+        low = -cubic_maximum(-y0, -v0 * h, -y1, -v1 * h)
         square = integral(y0**2, 2 * y0 * v0, y1**2, 2 * y1 * v1)
         with_sine = integral(y0 * s0, v0 * s0 + w * y0 * c0, y1 * s1, v1 * s1 + w * y1 * c1)
         with_cosine = integral(y0 * c0, v0 * c0 - w * y0 * s0, y1 * c1, v1 * c1 - w * y1 * s1)
-
-        def plus(total, value):
-            value = jnp.sum(value, axis=0) if value.ndim > total.ndim else value
-            return total + jnp.where(kept, value, 0)
-
-        def furthest(far, value, of):
-            value = _folded(value, of) if value.ndim > far.ndim else value
-            return jnp.where(kept, of(far, value), far)
-
-        events = self.events
-        if events is not None and part.changed is not None:
-            last = end[-1] if end.ndim > kept.ndim else end
-            events = events.add(part.changed, last, kept)
-        return Measures(
-            time=plus(self.time, h),
-            highest=furthest(self.highest, high, jnp.maximum),
-            lowest=furthest(self.lowest, low, jnp.minimum),
-            integral_of_square=plus(self.integral_of_square, square),
-            integral_with_sine=plus(self.integral_with_sine, with_sine),
-            integral_with_cosine=plus(self.integral_with_cosine, with_cosine),
-            force=furthest(self.force, part.force, jnp.maximum),
-            contact_time=plus(self.contact_time, jnp.where(part.touches, h, 0.0)),
-            contacts=plus(self.contacts, part.entries),
-            events=events,
+        counted = self.passed(h, part.touches, part.entries, kept)
+        return counted.integrated(square, with_sine, with_cosine, kept).reached(
+            high, low, part.force, kept
         )
 
-
-def _folded(values: Array, of: Callable[[Array, Array], Array]) -> Array:
-    """Extreme along the first axis, by halves.
-
-    JAX's derivative of a reduction compares it with what it was made of, which XLA may compute
-    again and differently: then it is NaN.
-    """
-    while len(values) > 1:
-        half = len(values) // 2
-        values = jnp.concatenate(
-            [of(values[:half], values[-half:]), values[half : len(values) - half]]
+    def passed(
+        self,
+        duration: Float[Array, "*lanes"],
+        touches: Bool[Array, "*lanes"],
+        entries: Int[Array, "*lanes"],
+        kept: Bool[Array, "*lanes"],
+    ) -> "Measures":
+        """Count times and contacts where a step was kept."""
+        return self._replace(
+            time=self.time + jnp.where(kept, duration, 0.0),
+            contact_time=self.contact_time + jnp.where(kept & touches, duration, 0.0),
+            contacts=self.contacts + jnp.where(kept, entries, 0),
         )
-    return values[0]
+
+    def noted(
+        self, stop: Int[Array, "*lanes"], angle: Float[Array, "*lanes"], kept: Bool[Array, "*lanes"]
+    ) -> "Measures":
+        """Note where a stop changed its contact, if that is asked for."""
+        if self.events is None:
+            return self
+        return self._replace(events=self.events.add(stop, angle, kept))
+
+    def integrated(
+        self,
+        square: Float[Array, "*lanes"],
+        with_sine: Float[Array, "*lanes"],
+        with_cosine: Float[Array, "*lanes"],
+        kept: Bool[Array, "*lanes"],
+    ) -> "Measures":
+        """Add integrals over a part of the motion where it was kept."""
+        return self._replace(
+            integral_of_square=self.integral_of_square + jnp.where(kept, square, 0.0),
+            integral_with_sine=self.integral_with_sine + jnp.where(kept, with_sine, 0.0),
+            integral_with_cosine=self.integral_with_cosine + jnp.where(kept, with_cosine, 0.0),
+        )
+
+    def reached(
+        self,
+        high: Float[Array, "*lanes"],
+        low: Float[Array, "*lanes"],
+        force: Float[Array, "*lanes"],
+        kept: Bool[Array, "*lanes"],
+    ) -> "Measures":
+        """Take note of extremes of a part of the motion where it was kept."""
+        return self._replace(
+            highest=jnp.where(kept, jnp.maximum(self.highest, high), self.highest),
+            lowest=jnp.where(kept, jnp.minimum(self.lowest, low), self.lowest),
+            force=jnp.where(kept, jnp.maximum(self.force, force), self.force),
+        )
 
 
 def no_measures(like: Float[Array, "*lanes"]) -> Measures:

@@ -17,19 +17,18 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from vibrojax.stepping.contact_phases import ContactPhases, spread
+from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.stepping.cubic import cubic_between
 from vibrojax.stepping.elementary import computed_once, pick
 from vibrojax.stepping.forcing import Forcing
+from vibrojax.stepping.signals import Turning, contact_signals, with_derivatives, with_wave
 from vibrojax.stepping.turns import (
     both,
     doubled,
     product,
     read_after,
-    slope_row,
     squares,
     turn_over,
     turned,
@@ -78,14 +77,10 @@ class Sight(NamedTuple):
 class Outlook(eqx.Module):
     """Signals of every phase, positive in contact, and what it takes to look ahead.
 
-    Signals are the depths; where a stop may not pull, the pushes follow, as depths. The drive is
-    the last block.
+    Signals are the depths; where a stop may not pull, the pushes follow, as depths.
     """
 
-    decay: Float[Array, "phases 2 blocks *lanes"]
-    rate: Float[Array, "phases blocks *lanes"]
-    speed: Float[Array, "phases blocks *lanes"]
-    """Size of the eigenvalues, 1/s."""
+    turning: Turning
     longest: Float[Array, "phases *lanes"]
     """Interval of the usual grid, s."""
     shortest: Float[Array, "phases *lanes"]
@@ -108,7 +103,7 @@ class Outlook(eqx.Module):
     def read(self, blocks: Blocks, phase: Phase, touching: Which, wave: Wave) -> Array:
         """Read signals and their first two derivatives."""
         rows, rest = self.signed(phase, touching)
-        blocks = jnp.concatenate([blocks, wave[::-1][:, None]], axis=1)
+        blocks = with_wave(blocks, wave)
         return product(rows, blocks[:, :, None, None]) + rest
 
     def breach(self, touching: Which, read: Float[Array, "kinds signals *#where"]) -> Array:
@@ -131,8 +126,9 @@ class Outlook(eqx.Module):
     ) -> Sight:
         """Look ahead from where lanes are; `wave` is sine and cosine of the drive phase."""
         once = lambda f: computed_once(tick, f)  # noqa: E731
-        now = jnp.concatenate([blocks, wave[::-1][:, None]], axis=1)
-        decay, rate, sway = (pick(phase, a) for a in (self.decay, self.rate, self.sway))
+        now = with_wave(blocks, wave)
+        decay, rate, speed = (pick(phase, a) for a in self.turning)
+        sway = pick(phase, self.sway)
         step = pick(phase, self.longest) * scale
         part = step / PARTS
         rows, rest = once(lambda: self.signed(phase, touching))
@@ -146,7 +142,7 @@ class Outlook(eqx.Module):
 
         # Of every block in every signal for as long as it is looked at.
         amplitude = once(largest)
-        errors = once(lambda: _errors(amplitude, pick(phase, self.speed) * step))
+        errors = once(lambda: _errors(amplitude, speed * step))
         grid = once(lambda: _grid(_single((rows, now, rest, of_steps)), tick))
 
         def coarse():
@@ -291,77 +287,23 @@ def _single(numbers: Any) -> Any:
     return jax.tree.map(lambda a: a.astype(jnp.float32), numbers)
 
 
-def outlook_of(phases: ContactPhases, force: Forcing) -> Outlook:
+def outlook_of(phases: ContactPhases, force: Forcing, turning: Turning) -> Outlook:
     """Tabulate the signals of a drive."""
-    w, lanes = force.angular_frequency, force.angular_frequency.ndim
-    decay = spread(phases.exponent, 3, lanes) + jnp.zeros_like(w)
-    rate = spread(phases.rate, 2, lanes) + jnp.zeros_like(w)
-    # The drive turns too, and never decays.
-    decay = jnp.concatenate([decay, jnp.zeros_like(decay[:, :, :1])], axis=2)
-    rate = jnp.concatenate([rate, jnp.broadcast_to(w, rate[:, :1].shape)], axis=1)
-    # What says how far to look has no derivative of its own.
-    speed = jnp.sqrt(jnp.max(lax.stop_gradient(decay) ** 2, axis=1) + lax.stop_gradient(rate) ** 2)
-    value, rest, wave = _signals(phases, force)
-    blocks = value.reshape(*value.shape[:2], 2, -1, *w.shape)
+    w, signals = force.angular_frequency, contact_signals(phases, force)
+    value = signals.rows.reshape(*signals.rows.shape[:2], 2, -1, *w.shape)
     driven = force.driven.reshape(force.driven.shape[0], 2, -1, *w.shape)
     # Blocks turn: what goes into one row of them comes to be read by the other.
     size, push = (
         jnp.sqrt(jnp.sum(jnp.abs(lax.stop_gradient(a)) ** 2, axis=-2 - w.ndim))
-        for a in (blocks, driven)
+        for a in (value, driven)
     )
-    row = jnp.concatenate([jnp.moveaxis(blocks, 1, 3), _of_wave(wave)[:, :, None]], axis=2)
-    rows = [row]
-    for _ in range(2):
-        # What a drive in resonance adds to a block counts in the next derivative.
-        structure = row[:, :, :-1].reshape(len(row), -1, *row.shape[3:])
-        added = _of_wave(jnp.sum(structure * force.driven[:, :, None], axis=1))
-        row = jnp.stack(
-            [
-                slope_row(a[:, :, None], b[:, None], r)
-                for a, b, r in zip(decay, rate, row, strict=True)
-            ]
-        )
-        row = row.at[:, :, -1].add(added)
-        rows.append(row)
-    slowest = jnp.maximum(jnp.min(speed[:, :-1], axis=1), w)
+    slowest = jnp.maximum(jnp.min(turning.speed[:, :-1], axis=1), w)
     return Outlook(
-        decay=decay,
-        rate=rate,
-        speed=speed,
+        turning=turning,
         longest=GRID / slowest,
-        shortest=LANDING / jnp.max(speed, axis=1),
-        rows=jnp.stack(rows, axis=3),
-        rest=rest,
+        shortest=LANDING / jnp.max(turning.speed, axis=1),
+        rows=with_derivatives(turning, force, signals),
+        rest=signals.rest,
         sway=jnp.sum(size * push[:, None], axis=2),
         pulls=all(phases.can_pull),
-    )
-
-
-def _of_wave(wave: Array) -> Array:
-    """Rows by which the drive, as a block (cosine, sine), reads a wave."""
-    return jnp.stack([wave.imag, wave.real], axis=1)
-
-
-def _signals(phases: ContactPhases, force: Forcing) -> tuple[Array, Array, Array]:
-    """Rows that read depths, then pushes as depths where any stop may not pull; rest; drive."""
-    k, lanes = phases.num_stops, force.angular_frequency.ndim
-    wide = jnp.zeros_like(force.angular_frequency)
-    rows = spread(phases.readout, 3, lanes)[:, : 2 * k] + wide
-    rest = spread(phases.readout_rest, 2, lanes)[:, : 2 * k] + wide
-    wave = force.readout[:, : 2 * k]
-    if all(phases.can_pull):
-        return rows[:, :k], rest[:, :k], wave[:, :k]
-    stiffness, damping = spread(phases.stiffness, 1, lanes), spread(phases.damping, 1, lanes)
-    unit = stiffness + damping * force.angular_frequency
-    pushes = (unit > 0) & ~np.reshape(phases.can_pull, (k,) + (1,) * lanes)
-    safe = jnp.where(unit > 0, unit, 1.0)
-    hold, drag = jnp.where(pushes, stiffness / safe, 1.0), jnp.where(pushes, damping / safe, 0.0)
-
-    def with_push(depth, speed, hold, drag):
-        return jnp.concatenate([depth, hold * depth + drag * speed], axis=1)
-
-    return (
-        with_push(rows[:, :k], rows[:, k:], hold[:, None], drag[:, None]),
-        with_push(rest[:, :k], rest[:, k:], hold, drag),
-        with_push(wave[:, :k], wave[:, k:], hold, drag),
     )

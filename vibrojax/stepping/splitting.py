@@ -356,8 +356,8 @@ def march(
                 there = touching_stops(contact.stops, depth1, f1)
                 touches = jnp.any(here, axis=0)
                 entered = jnp.sum(~here & there, axis=0, dtype=jnp.int32)
-            angle = (i + 0.5) * turn
-            part = Segment(h, angle, angular_frequency, (y0, y1), (s0, s1), force, touches, entered)
+            both, tip, speed = (wave, wave1), (y0, y1), (s0, s1)
+            part = Segment(h, both, angular_frequency, tip, speed, force, touches, entered)
             measures = measures.add(part, live)
         return q1, v1, memory1, wave1, measures
 

@@ -32,12 +32,8 @@ Scalar = Float[Array, ""]
 Counts = Int[Array, "*lanes"]
 
 
-def measuring(tolerance: Float[Array, "..."]) -> Float[Array, "..."]:
-    """How many times finer than the march the periods are stepped in which extremes are read.
-
-    Extremes are those of cubics between steps: their error falls with the fourth power of it.
-    """
-    return 14.0 * jnp.maximum(1e-4 / tolerance, 1.0) ** 0.25
+MEASURED = 2e-4
+"""Error of the curves on which extremes are read, over the tolerance."""
 
 
 class AbstractMarch(eqx.Module):
@@ -189,8 +185,16 @@ class ExactMarch(AbstractMarch):
         self, state: States, angular_frequency: Lanes, periods: Counts, observe: bool
     ) -> tuple[States, Counts, Measures | None]:
         """March with exact propagators; see `exact_contact.march`."""
-        force = self.force_at(angular_frequency)
-        return exact_contact.march(self.phases, force, state, periods, observe=observe)
+        force, ruler = self.force_at(angular_frequency), None
+        if observe:
+            ruler = self._ruler(2 * jnp.pi / angular_frequency)
+        return exact_contact.march(self.phases, force, state, periods, ruler=ruler)
+
+    def _ruler(self, period: Lanes) -> exact_contact.Ruler:
+        """How finely motions are measured."""
+        if self.steps_per_period is None:
+            return exact_contact.Ruler(MEASURED * self.tolerance, jnp.full_like(period, jnp.inf))
+        return exact_contact.Ruler(jnp.full_like(period, jnp.inf), period / self.steps_per_period)
 
     def run_at(self, angular_frequency: Lanes) -> exact_contact.ExactRun:
         """Make lanes at their drive frequencies ready to go on from period to period."""
@@ -198,11 +202,9 @@ class ExactMarch(AbstractMarch):
 
     def force_at(self, angular_frequency: Lanes) -> Forcing:
         """Tabulate what the drive does."""
-        step = longest_step(self.phases, angular_frequency, self.tolerance, self.steps_per_period)
         zero = jnp.zeros_like(angular_frequency)
         amplitude = self.drive.complex_amplitude(angular_frequency, zero)
-        measured = step / measuring(self.tolerance)
-        return forcing(self.phases, amplitude, angular_frequency, zero, measured)
+        return forcing(self.phases, amplitude, angular_frequency, zero)
 
     def energy_weight(self) -> States:
         """Return weights that make (q, q') comparable."""
@@ -344,7 +346,7 @@ class ExponentialSplitting(AbstractStepper):
 
 @compiled
 def _exact_steps(phases, rate, tolerance):
-    step = longest_step(phases, rate, tolerance, None)
+    step = longest_step(phases, rate, tolerance)
     return 2 * jnp.pi / rate / step
 
 
