@@ -30,7 +30,7 @@ CLOSED = 1e-10
 """Relative residual at which a motion is solved for."""
 ROUND_OFF = 1e-13
 """At which it is left as it is: results are then the same wherever the search began."""
-MOST_ROUNDS = 8
+MOST_ROUNDS = 6
 """Of Newton's method: further away another motion might be found."""
 FREE_ROUNDS = 2
 """After which every one has to halve the residual."""
