@@ -123,7 +123,7 @@ class _Solved(NamedTuple):
     going: Bool[Array, " lanes"]
 
 
-class _Lanes:
+class FollowedLanes:
     """Lanes with the events of their motions, apart from the drive frequency."""
 
     def __init__(self, march: ExactMarch, events: Events):
@@ -245,7 +245,7 @@ def _is_close(events: Events, times: Float[Array, "events lanes"]) -> Bool[Array
     return jnp.any(used, axis=0) & (nearest < room)
 
 
-def _section_moved(lanes: _Lanes, track: Track, close: Bool[Array, " lanes"]) -> Track:
+def _section_moved(lanes: FollowedLanes, track: Track, close: Bool[Array, " lanes"]) -> Track:
     """Move sections that are close to a change of contact into the middle of the longest phase.
 
     There the newest point is a guess again.
@@ -278,7 +278,9 @@ def _size(state: Float[Array, "states lanes"]) -> Float[Array, " lanes"]:
     return jnp.sqrt(jnp.sum(state**2, axis=0))
 
 
-def _advanced(lanes: _Lanes, track: Track, w: Float[Array, " lanes"]) -> tuple[Track, Followed]:
+def _advanced(
+    lanes: FollowedLanes, track: Track, w: Float[Array, " lanes"]
+) -> tuple[Track, Followed]:
     """Solve for the motions at a frequency; where that is not good, the track stays."""
     events, known, at = track.events, track.known > 0, lanes.at(w)
     ahead = _predicted(track, w)
@@ -325,7 +327,7 @@ def advance(
     Returns `Track` and `Followed` of all.
     """
     own, track, w = march.lanes_last(), tracks.lanes_last(), jnp.asarray(angular_frequency)
-    lanes = _Lanes(own, track.events)
+    lanes = FollowedLanes(own, track.events)
     track, found = _advanced(lanes, track, w)
     close = _is_close(track.events, track.times[0])
     moved = lambda track: _section_moved(lanes, track, close)  # noqa: E731

@@ -26,7 +26,7 @@ from vibrojax.steady.following import (
     no_tracks,
 )
 from vibrojax.steady.lane_table import LaneTable, table_of
-from vibrojax.steady.pool_programs import march_some, measure_some, polish_some, widths_for
+from vibrojax.steady.pool_programs import filled, march_some, measure_some, polish_some, widths_for
 from vibrojax.steady.settling import APERIODIC_PERIODS, CLOSED, NEAR, begin_search
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.resonance import is_unbounded
@@ -186,11 +186,7 @@ class LanePool:
         # Lanes of like pace: one loop takes as long as its slowest lane.
         pace = self.search.steps[chosen] / np.maximum(self.search.marched[chosen], 1)
         own = chosen[np.argsort(pace, kind="stable")][: self.widths[-1]]
-        return own, self._filled(own)
-
-    def _filled(self, own: np.ndarray) -> np.ndarray:
-        width = next(w for w in self.widths if w >= len(own))
-        return own[np.minimum(np.arange(width), len(own) - 1)]
+        return own, filled(own, self.widths)
 
     def _batch_of_like(self, chosen: np.ndarray, periods: np.ndarray):
         """Together what takes the same number of periods."""
@@ -319,7 +315,7 @@ class LanePool:
             own = settled[(self.period[settled] % part == 0) & (self.period[settled] > part)]
             if not len(own):
                 continue
-            lanes = self._filled(own)
+            lanes = filled(own, self.widths)
             window = np.full(len(lanes), part, np.int32)
             end, _, _ = self._marched(own, lanes, self.state[lanes], window)
             gone = (end - self.state[own]) * self.weight[own]

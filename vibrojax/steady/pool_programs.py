@@ -44,6 +44,12 @@ def widths_for(lanes: int) -> tuple[int, ...]:
     return widths[max(1, enough - 1) : enough + 1] if enough else widths[:1]
 
 
+def filled(own: np.ndarray, widths: tuple[int, ...]) -> np.ndarray:
+    """Return some lanes, the last again and again up to the next width."""
+    width = next(w for w in widths if w >= len(own))
+    return own[np.minimum(np.arange(width), len(own) - 1)]
+
+
 def compile_ahead(march: AbstractMarch, lanes: int, max_period: int, follow: bool) -> None:
     """Compile in the background what a pool of so many lanes will run.
 

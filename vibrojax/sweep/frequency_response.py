@@ -95,9 +95,10 @@ class FrequencyResponse(AbstractSaved):
     jump_down: float | Float[Array, "..."]
     """Where the response jumps down; NaN where it does not."""
     jump_up_bracket: Float[Array, "... 2"]
-    """The interval in which the jump up lies, low end first."""
+    """The interval in which the jump up lies, low end first; of no width where it is a fold that
+    was solved for, exact to round-off."""
     jump_down_bracket: Float[Array, "... 2"]
-    """The interval in which the jump down lies, low end first."""
+    """The interval in which the jump down lies, as that of the jump up."""
     attributes: dict[str, str] = eqx.field(static=True)
     """What was run: rig, settings, versions."""
 
@@ -219,9 +220,16 @@ class FrequencyResponse(AbstractSaved):
             lines += [
                 f"  peak amplitude ratio  {self.peak_amplitude_ratio:.4f} at {self.axis} "
                 f"{self.peak_frequency:.5f}",
-                f"  jump up, jump down    {self.jump_up:.5f}, {self.jump_down:.5f}",
+                "  jump up, jump down    "
+                f"{_jump(self.jump_up_bracket)}, {_jump(self.jump_down_bracket)}",
                 f"  hysteresis width      {self.hysteresis_width:.5f}",
             ]
         count = np.bincount(np.asarray(self.status).ravel(), minlength=len(Status))
         tally = ", ".join(f"{count[s.value]} {s.name}" for s in Status if count[s.value])
         return "\n".join([*lines, f"  points                {tally}"])
+
+
+def _jump(bracket: Float[Array, " 2"]) -> str:
+    """Say where a jump is, and whether it was solved for."""
+    low, high = (float(end) for end in bracket)
+    return f"{(low + high) / 2:.5f}" + (" (a fold, exact)" if low == high else "")

@@ -35,8 +35,9 @@ class SweepSettings(AbstractSettings):
     """`follow`: a settled motion is solved for at the next frequency while it stays stable and
     keeps to its contacts, and marched where it does not; `march`: every point is marched to."""
     refine_jumps: float | None = eqx.field(static=True, default=1e-4)
-    """Relative width to which jumps are bracketed by bisection, each try starting from the branch
-    before the jump; None leaves them between grid points."""
+    """Relative width to which jumps are bracketed. With `follow` those at folds are solved for
+    (their brackets have no width); others are bisected, each try starting from the branch before
+    the jump. None leaves them between grid points."""
 
     def __check_init__(self) -> None:
         """Refuse settings that cannot work; what depends on the system is checked beside it."""

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax.model.drives import AbstractDrive
@@ -15,6 +15,7 @@ from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
 from vibrojax.steady import pool_programs
+from vibrojax.steady.fold_ahead import folds_ahead
 from vibrojax.steady.lane_pool import LanePool, Onwards, Settled
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.resonance import is_unbounded, unbounded_at
@@ -256,33 +257,57 @@ def _pool(plan: SweepPlan, prepared: Prepared, rig: np.ndarray) -> LanePool:
 def _refine(
     plan: SweepPlan, width: float, prepared: Prepared, swept: Swept, unit: np.ndarray
 ) -> None:
-    """Bisect every jump from the state before it until its bracket is as narrow as `width`."""
+    """Narrow the brackets of all jumps.
+
+    Those at folds are solved for, and their brackets have no width then; the others are bisected
+    from the state before the jump until their brackets are as narrow as `width`.
+    """
     rig, way = np.nonzero(swept.jumps.exists)
-    before, after = swept.jumps.before[rig, way], swept.jumps.after[rig, way]
-    bracket = swept.jumps.bracket[rig, way]
+    bracket, at = swept.jumps.bracket[rig, way], (rig, way, swept.jumps.before[rig, way])
     scale = 1.0 if plan.axis == "frequency_ratio" else swept.natural_frequency[rig]
     parts = np.abs(bracket[:, 1] - bracket[:, 0]) / scale / width
     halvings = np.ceil(np.log2(np.maximum(parts, 1.0))).astype(int)
-    wide = halvings > 0
-    if not wide.any():
-        return
-    rig, way, before, after = rig[wide], way[wide], before[wide], after[wide]
+    if plan.settle == "follow":
+        touches = swept.curves["contact_force"][at] > 0
+        k = np.flatnonzero((halvings > 0) & touches & (swept.curves["period"][at] == 1))
+        start = bracket[k, 0] * unit[rig[k]]
+        ahead = EXTENSIONS * (bracket[k, 1] * unit[rig[k]] - start)
+        fold = folds_ahead(prepared.march, rig[k], swept.states[at][k], start, ahead)
+        solved = np.isfinite(fold)
+        bracket[k[solved]] = (fold / unit[rig[k]])[solved, None]
+        halvings[k[solved]] = 0
+    k = np.flatnonzero(halvings > 0)
+    if len(k):
+        bracket[k] = _bisected(plan, prepared, swept, unit, rig[k], way[k], halvings[k])
+    brackets = np.array(swept.jumps.bracket)
+    brackets[rig, way] = bracket
+    swept.jumps.set_brackets(brackets[..., 0], brackets[..., 1])
+
+
+def _bisected(
+    plan: SweepPlan,
+    prepared: Prepared,
+    swept: Swept,
+    unit: Float[np.ndarray, " rigs"],
+    rig: Int[np.ndarray, " jumps"],
+    way: Int[np.ndarray, " jumps"],
+    halvings: Int[np.ndarray, " jumps"],
+) -> Float[np.ndarray, "jumps 2"]:
+    """Halve brackets of jumps so many times; (before, after) of each."""
+    at = rig, way, swept.jumps.before[rig, way]
     amplitude = swept.curves["amplitude_ratio"]
     feed = _Bisection(
-        bracket[wide],
-        amplitude[rig, way, before],
-        amplitude[rig, way, after],
-        swept.curves["period"][rig, way, before] > 0,
-        swept.states[rig, way, before].copy(),
-        halvings[wide],
+        swept.jumps.bracket[rig, way],
+        amplitude[at],
+        amplitude[rig, way, swept.jumps.after[rig, way]],
+        swept.curves["period"][at] > 0,
+        swept.states[at].copy(),
+        halvings,
         unit[rig],
         np.asarray(prepared.reference)[rig],
     )
-    pool = _pool(plan, prepared, rig)
-    pool.run(feed.state, feed.frequency(np.arange(len(rig))), feed.onwards)
-    low_high = np.array(swept.jumps.bracket)
-    low_high[rig, way] = np.stack([feed.low, feed.high], axis=-1)
-    swept.jumps.set_brackets(low_high[..., 0], low_high[..., 1])
+    _pool(plan, prepared, rig).run(feed.state, feed.frequency(np.arange(len(rig))), feed.onwards)
+    return np.stack([feed.low, feed.high], axis=-1)
 
 
 def before_jumps(swept: Swept) -> dict[str, tuple[np.ndarray, np.ndarray]]:

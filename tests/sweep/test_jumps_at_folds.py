@@ -1,0 +1,75 @@
+"""Jumps that are folds are solved for: exact, whatever the grid and whoever sweeps beside them."""
+
+import jax
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.model.systems import as_arrays
+from vibrojax.steady.fold_ahead import folds_ahead
+from vibrojax.sweep.swept_lanes import prepare, rigs_of, sweep_rigs
+
+RANGE = 1.0, 1.32
+
+
+def swept(system, step=0.02, settle="follow", **axes):
+    ratios = np.arange(RANGE[0], RANGE[1] + step / 2, step)
+    settings = vj.SweepSettings(settle=settle)
+    return vj.frequency_sweep(system, frequency_ratio=ratios, settings=settings, **axes)
+
+
+@pytest.fixture(scope="module")
+def beam(rig):
+    return rig(num_modes=2)
+
+
+@pytest.fixture(scope="module")
+def curve(beam):
+    return swept(beam)
+
+
+def test_it_is_the_fold_of_the_branch_on_any_grid(beam, curve):
+    branch = vj.continue_response(beam, frequency_ratio=vj.Range(*RANGE))
+    fold = max(branch.folds)
+    assert curve.jump_down == pytest.approx(fold, rel=1e-9)
+    assert swept(beam, step=0.007).jump_down == pytest.approx(fold, rel=1e-9)
+
+
+def test_the_result_says_that_it_is_exact(curve):
+    low, high = curve.jump_down_bracket
+    assert low == high == curve.jump_down
+    assert repr(curve).count("(a fold, exact)") == 1
+
+
+def test_a_jump_at_a_touch_is_bracketed(curve):
+    low, high = curve.jump_up_bracket
+    assert 0 < high - low <= 1e-4
+
+
+def test_where_every_point_is_marched_to_so_are_jumps(beam, curve):
+    marched = swept(beam, settle="march")
+    low, high = marched.jump_down_bracket
+    assert 0 < high - low <= 1e-4
+    assert low <= curve.jump_down <= high
+
+
+def test_lanes_do_not_depend_on_their_neighbours(rig, beam, curve):
+    gaps = np.array([1.0, 3e-4, 4e-4, 6e-4])  # the first has no contact and does not jump
+    both = swept(lambda gap: rig(num_modes=2, gap=gap), gap=gaps)
+    widths = np.diff(both.jump_down_bracket, axis=1)[:, 0]
+    assert np.isnan(both.jump_down[0])
+    assert (widths[1:] == 0).all()
+    assert both.jump_down[2] == pytest.approx(curve.jump_down, rel=1e-10)
+
+
+def test_none_is_found_that_lies_too_far_or_the_other_way(beam, curve):
+    grid = np.arange(RANGE[0], 1.201, 0.02)
+    plan = vj.SweepSettings(direction="forward").plan(beam, "frequency_ratio", grid)
+    rigs = rigs_of(jax.tree.map(lambda a: a[None], as_arrays(beam)))
+    prepared, upper = prepare(plan.stepper, rigs), sweep_rigs(plan, rigs).states[0, 0, -1]
+    first = float(prepared.first_frequency[0])
+    ways = np.array([0.1, 0.005, -0.1]) * first
+    start = np.zeros(3, int), np.tile(upper, (3, 1)), np.full(3, grid[-1] * first)
+    found = folds_ahead(prepared.march, *start, ways) / first
+    assert found[0] == pytest.approx(curve.jump_down, rel=1e-9)
+    assert np.isnan(found[1:]).all()

@@ -1,0 +1,263 @@
+"""Where settled motions turn back: the folds at which a response jumps, solved for.
+
+From a settled motion the branch is gone along by its arc length, which a fold does not stop, until
+the frequency turns back; between the last two points the fold is where its rate vanishes. Motions
+are those of `following`: block coordinates at the section and times of contact.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from vibrojax._tools.compiled import compiled
+from vibrojax._tools.types import AnyArray
+from vibrojax.steady.following import (
+    TURN,
+    FollowedLanes,
+    advance,
+    begin_track,
+    can_follow,
+    keeps_to_contacts,
+    no_tracks,
+)
+from vibrojax.steady.known_contacts import Passage
+from vibrojax.steady.lane_table import LaneTable, table_of
+from vibrojax.steady.pool_programs import filled, measure_some, widths_for
+from vibrojax.steady.settling import is_stable
+from vibrojax.stepping.elementary import apply_matrix
+from vibrojax.stepping.stepper import AbstractMarch
+
+lax = jax.lax
+
+FIRST_STEP = 0.25
+"""First step, of which 1 would be about all of the way on a straight branch."""
+LONGEST_STEP = 1.0
+ROUNDS = 6
+"""Of Newton's method for a point."""
+MOST = 150
+"""The same for all points."""
+CLOSE = 1e-7
+"""Correction, in units, after which there is no need of another: it is squared every time."""
+TURNED = 1e-5
+"""Rate of the frequency along the branch, over that of a straight one, at a fold. The frequency
+there is right to the square of it."""
+NOT_YET = 1e-2
+"""Rate down to which motions have to be stable: beyond, one multiplier is all but 1."""
+
+
+class FoldAhead(NamedTuple):
+    """What there is ahead of lanes."""
+
+    found: Bool[Array, " lanes"]
+    """Whether a branch of stable motions turns back there; contacts are not looked at."""
+    angular_frequency: Float[Array, " lanes"]
+    """rad/s."""
+    state: Float[Array, "states lanes"]
+    """(q, q') at drive phase 0."""
+    times: Float[Array, "events lanes"]
+    """Changes of contact, drive angle, rad."""
+
+
+class _Point(NamedTuple):
+    """A motion."""
+
+    blocks: Float[Array, "2 blocks lanes"]
+    times: Float[Array, "events lanes"]
+    w: Float[Array, " lanes"]
+
+
+class _Search(NamedTuple):
+    """Between which points of a branch a fold is; arc lengths are in units, from the last point."""
+
+    last: _Point
+    along: Float[Array, "states lanes"]
+    """Rate of the block coordinates there by arc length."""
+    rate: Float[Array, " lanes"]
+    """Rate of the frequency, over the way; none yet where it is above 1."""
+    step: Float[Array, " lanes"]
+    """Arc length of the point that is solved for."""
+    beyond: Float[Array, " lanes"]
+    """That of one where the frequency goes back; inf where none is known."""
+    rate_beyond: Float[Array, " lanes"]
+    now: _Point
+    rounds: Int[Array, " lanes"]
+    """Of Newton's method for that point."""
+    going: Bool[Array, " lanes"]
+    found: Bool[Array, " lanes"]
+
+
+class _Branch:
+    """Lanes on their branches, in units of the way and of a change of the motion."""
+
+    def __init__(self, lanes: FollowedLanes, change: Array, way: Array):
+        self.lanes, self.way = lanes, way
+        self.unit = change / lanes.energy.reshape(-1, *change.shape)
+        """Of every block coordinate."""
+
+    def corrected(self, search: _Search) -> tuple[_Point, Array, Array, Array]:
+        """Take a step of Newton's method: motion, its error, the way on there, if it is stable."""
+        (blocks, times, w), n = search.now, len(self.unit)
+        events = self.lanes.events
+
+        def passed_at(w: Array) -> tuple[tuple[Array, Array], Passage]:
+            passed = self.lanes.at(w).go_through(blocks, times, events.section + TURN)
+            return (passed.blocks, passed.late), passed
+
+        (end, late), (push, late_by_w), passed = jax.jvp(
+            passed_at, (w,), (jnp.ones_like(w),), has_aux=True
+        )
+        gap = (end - blocks).reshape(self.unit.shape) / self.unit
+        push = push.reshape(gap.shape) * self.way / self.unit
+        matrix = passed.matrix.reshape(n, *gap.shape) * self.unit / self.unit[:, None]
+        gone = (blocks - search.last.blocks).reshape(gap.shape) / self.unit
+        left = search.step - jnp.sum(search.along * gone, axis=0)
+        left = left - search.rate * (w - search.last.w) / self.way
+        # The return of the motion, bordered by the arc length; two right-hand sides.
+        inside = jnp.eye(n)[:, :, None] - matrix
+        border = jnp.concatenate([search.along, search.rate[None]])[None]
+        whole = jnp.concatenate([inside, -push[:, None]], axis=1)
+        whole = jnp.concatenate([whole, border])
+        right = jnp.stack(
+            [jnp.concatenate([gap, left[None]]), jnp.eye(n + 1)[-1][:, None] + 0 * whole[0]], axis=1
+        )
+        solved = jnp.linalg.solve(jnp.moveaxis(whole, -1, 0), jnp.moveaxis(right, -1, 0))
+        change, on = jnp.moveaxis(solved, (0, 1, 2), (2, 1, 0))
+        moved, dw = change[:-1] * self.unit, change[-1] * self.way
+        later = late + apply_matrix(passed.delays, moved) + late_by_w * dw
+        later = jnp.where(events.stop >= 0, later, 0.0)
+        error = jnp.maximum(_size(change), jnp.max(jnp.abs(later), axis=0, initial=0.0))
+        point = _Point(blocks + moved.reshape(blocks.shape), times + later, w + dw)
+        return point, error, on / _size(on), is_stable(jnp.moveaxis(matrix, -1, 0))
+
+    def tried(self, search: _Search, step: Array) -> _Search:
+        """Begin to solve for the point a step further on."""
+        blocks, times, w = search.last
+        along = (search.along * self.unit * step).reshape(blocks.shape)
+        now = _Point(blocks + along, times, w + search.rate * self.way * step)
+        return search._replace(now=now, step=step, rounds=jnp.zeros_like(search.rounds))
+
+
+def _size(vector: Float[Array, "rows lanes"]) -> Float[Array, " lanes"]:
+    return jnp.sqrt(jnp.sum(vector**2, axis=0))
+
+
+def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
+    """Go on with Newton's method, or to the next point of the branch where there is one."""
+    point, error, on, stable = branch.corrected(search)
+    rate, first = on[-1], search.rate > 1.0
+    turns = jnp.sum(on[:-1] * search.along, axis=0) + rate * search.rate
+    solved = error <= CLOSE
+    good = solved & (first | (turns > 0.5))
+    rounds = search.rounds + 1
+    fails = ~good & (solved | (rounds >= ROUNDS) | ~(error < 1.0))
+    at_fold, back = good & (jnp.abs(rate) <= TURNED), good & (rate < -TURNED)
+    lost = good & ~stable & (rate > NOT_YET)
+    over = lost | at_fold | ((point.w - start) / branch.way > 1.0)
+    takes = search.going & good & ~back
+    beyond = jnp.where(
+        back, search.step, jnp.where(good, search.beyond - search.step, search.beyond)
+    )
+    rate_beyond = jnp.where(back, rate, search.rate_beyond)
+
+    def taken(new: Array, old: Array) -> Array:
+        return jnp.where(takes, new, old)
+
+    last = jax.tree.map(taken, point, search.last)
+    along, rate = taken(on[:-1], search.along), taken(rate, search.rate)
+    # Along a parabola the rate falls off straight.
+    between = jnp.isfinite(beyond)
+    share = rate / jnp.where(between, rate - rate_beyond, 1.0)
+    inside = jnp.clip(share, 0.05, 0.95) * jnp.where(between, beyond, 1.0)
+    longer = jnp.where(first, FIRST_STEP, jnp.minimum(2 * search.step, LONGEST_STEP))
+    step = jnp.where(good, jnp.where(between, inside, longer), search.step / 2)
+    going = search._replace(now=point, rounds=rounds)
+    new = search._replace(
+        last=last,
+        along=along,
+        rate=rate,
+        beyond=beyond,
+        rate_beyond=rate_beyond,
+        going=search.going & ~(good & over),
+        found=search.found | (search.going & at_fold & ~lost),
+    )
+    new = branch.tried(new, step)
+    return jax.tree.map(lambda a, b: jnp.where(good | fails, a, b), new, going)
+
+
+@compiled
+def fold_ahead(march: LaneTable, tracks: LaneTable, way: Float[AnyArray, " lanes"]) -> LaneTable:
+    """Look for the folds ahead of motions that are known exactly, in tables of lanes.
+
+    `way` (rad/s, signed) says in which direction and no further than how far. Returns `FoldAhead`.
+    """
+    own, track = march.lanes_last(), tracks.lanes_last()
+    lanes, way, w = FollowedLanes(own, track.events), jnp.asarray(way), track.frequency[0]
+    # In units of their own change along the way, near a fold motions count as the frequency does.
+    change, zero = _size(track.state_slope[0]) * jnp.abs(way), jnp.zeros_like(w)
+    branch = _Branch(lanes, jnp.where(change > 0, change, 1.0), way)
+    begin = _Point(lanes.begin(lanes.at(w), track.state[0]), track.times[0], w)
+    nothing = jnp.zeros((len(branch.unit), *w.shape))
+    none, exact = jnp.zeros(w.shape, jnp.int32), track.known > 0
+    # The way on from where it begins is found by a step of no length.
+    search = _Search(
+        begin, nothing, zero + 2, zero, zero + jnp.inf, zero, begin, none, exact, exact & False
+    )
+    search, _ = lax.while_loop(
+        lambda carry: jnp.any(carry[0].going) & (carry[1] < MOST),
+        lambda carry: (_further(branch, carry[0], w), carry[1] + 1),
+        (search, jnp.int32(0)),
+    )
+    there, origin = search.last, jnp.where(track.events.section > 0, TURN, 0.0)
+    at = lanes.at(there.w)
+    passed = at.go_through(there.blocks, there.times, origin)
+    state = lanes.state(at, passed.blocks, passed.phase, origin) / lanes.weight
+    return table_of(FoldAhead(search.found, there.w, state, there.times))
+
+
+def folds_ahead(
+    march: AbstractMarch,
+    rig: Int[np.ndarray, " lanes"],
+    state: Float[np.ndarray, "lanes states"],
+    angular_frequency: Float[np.ndarray, " lanes"],
+    way: Float[np.ndarray, " lanes"],
+) -> Float[np.ndarray, " lanes"]:
+    """Return where the branches of settled motions of one drive period end in a fold, rad/s.
+
+    NaN where none is found on the way (rad/s, signed) that keeps to the contacts of the motion.
+    `rig` says which of the rigs of `march`, its trailing axis, each lane has.
+    """
+    rigs, found = table_of(march, xp=np), np.full(len(rig), np.nan)
+    weight = np.asarray(march.energy_weight()).T
+    left = np.flatnonzero(can_follow(rigs.columns(), len(weight))[rig])
+    widths = widths_for(len(left))
+    for own in np.split(left, np.arange(widths[-1], len(left), widths[-1])):
+        if not len(own):
+            continue
+        lanes = filled(own, widths)
+        system, one = rigs.pick(rig[lanes]), np.ones(len(lanes), np.int32)
+        begin, w = state[lanes], angular_frequency[lanes]
+        _, _, measures = measure_some(system, begin, w, one).columns()
+        tracks = no_tracks(len(lanes), begin.shape[1])
+        track = tracks.columns()
+        weighted = begin * weight[rig[lanes]]
+        begin_track(track, np.arange(len(lanes)), weighted, w, measures.events)
+        solved = advance(system, tracks, w)
+        _, here = solved.columns()
+        tracks.numbers[:] = np.asarray(solved.numbers)[:, : tracks.numbers.shape[1]]
+        ahead = fold_ahead(system, tracks, way[lanes]).columns()
+        good = (here.good > 0) & (ahead.found > 0)
+        # What is marched has to be finite.
+        at, w = (
+            np.where(good[:, None], ahead.state, begin),
+            np.where(good, ahead.angular_frequency, w),
+        )
+        end, _, measures = measure_some(system, at, w, one).columns()
+        size = np.linalg.norm(at * weight[rig[lanes]], axis=1)
+        gone = np.linalg.norm((end - at) * weight[rig[lanes]], axis=1) / np.maximum(size, 1e-300)
+        track.times[:, 0] = ahead.times
+        good &= keeps_to_contacts(track, measures.events, gone)
+        found[own] = np.where(good, w, np.nan)[: len(own)]
+    return found
