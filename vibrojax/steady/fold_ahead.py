@@ -28,7 +28,7 @@ from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.pool_programs import filled, measure_some, widths_for
 from vibrojax.steady.settling import is_stable
 from vibrojax.stepping.elementary import apply_matrix
-from vibrojax.stepping.stepper import AbstractMarch
+from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 
 lax = jax.lax
 
@@ -187,7 +187,7 @@ def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
     return jax.tree.map(lambda a, b: jnp.where(good | fails, a, b), new, going)
 
 
-@compiled
+@compiled(lightly=True)
 def fold_ahead(march: LaneTable, tracks: LaneTable, way: Float[AnyArray, " lanes"]) -> LaneTable:
     """Look for the folds ahead of motions that are known exactly, in tables of lanes.
 
@@ -261,3 +261,15 @@ def folds_ahead(
         good &= keeps_to_contacts(track, measures.events, gone)
         found[own] = np.where(good, w, np.nan)[: len(own)]
     return found
+
+
+def compile_fold_ahead(march: AbstractMarch, lanes: int) -> None:
+    """Compile in the background what folds of so many lanes, or fewer, are looked for with.
+
+    Of `march`, whose rigs are its trailing axis, only the shapes are looked at.
+    """
+    if isinstance(march, ExactMarch):
+        width = widths_for(lanes)[0]
+        states = jax.eval_shape(lambda march: march.energy_weight(), march).shape[0]
+        own, tracks = table_of(march, lanes=width), no_tracks(width, states)
+        fold_ahead.ahead(own, tracks, np.ones(width))

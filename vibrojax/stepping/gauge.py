@@ -35,6 +35,8 @@ QUINTIC = 46080
 """Sixth derivative over the largest error of a quintic: 6! 2^6."""
 
 
+RESPONSE = -2
+"""Place of the response among the signals, behind the forces; the last is its negative."""
 EULER_MACLAURIN = {1: -1 / 12, 3: 1 / 720, 5: -1 / 30240}
 """Weights of the derivatives at both ends by which the trapezoidal rule is corrected."""
 
@@ -109,7 +111,7 @@ class Gauge:
         self.grown, self.resonant = grown, resonant
         signals = measured_signals(phases, force)
         self.rows, self.rest = with_derivatives(turning, force, signals), signals.rest
-        response = jax.tree.map(lambda a: a[:, -1:], signals)
+        response = jax.tree.map(lambda a: a[:, RESPONSE : RESPONSE + 1], signals)
         self.higher = with_derivatives(turning, force, response, order=5)[:, :, :, 3:, 0]
         """Rows of the third to the fifth derivative of the response."""
         self.lanes = force.angular_frequency.ndim
@@ -162,7 +164,7 @@ class Gauge:
 
         begin = with_wave(passed.blocks[0], wave_at(passed.begun[0]))
         none = jnp.zeros_like(passed.phase[0])
-        kinds = (self.rest.shape[1] + 1, *none.shape)
+        kinds = self.rest.shape[1:]
         tops = _Tops(
             jnp.full(kinds, -jnp.inf),
             jnp.zeros(kinds, bool),
@@ -171,30 +173,34 @@ class Gauge:
         )
         most = jnp.max(reduce(jnp.add, list(passed.groups)))
         *_, tops, measures = lax.fori_loop(0, most, some, (none, none, begin, tops, measures))
-        *force, high, low = (self.top(passed, tops, i, wave_at) for i in range(kinds[0]))
+        *force, high, low = self.heights(passed, tops, wave_at)
         force = reduce(jnp.maximum, force, jnp.zeros_like(high))
         return measures.reached(high, -low, force, passed.groups[0] > 0)
 
-    def top(
-        self, passed: Stretches, tops: "_Tops", kind: int, wave_at: Callable[[Array], Array]
-    ) -> Float[Array, "*lanes"]:
-        """Height of the highest place of a signal, from the motion itself."""
-        found, inside, offset, place = (a[kind] for a in tops)
-        stored, phase, begun = (pick(place, a) for a in passed[:3])
-        decay, rate, _ = (pick(phase, a) for a in self.turning)
-        blocks = turned(turn_over(decay, rate, offset), with_wave(stored, wave_at(begun)))
-        moved = where_needed(
-            self.resonant, lambda: blocks[:, :-1] + self.grown(phase, begun, offset), blocks[:, :-1]
-        )
-        blocks = jnp.concatenate([moved, blocks[:, -1:]], axis=1)
-        last = self.rest.shape[1] - 1
-        signal, sign = min(kind, last), 1.0 if kind <= last else -1.0
-        rows = sign * pick(phase, self.rows[:, :, :, :, signal])
-        value, slope, bend = product(rows, blocks[:, :, None])
-        value = value + sign * pick(phase, self.rest[:, signal])
+    def heights(
+        self, passed: Stretches, tops: "_Tops", wave_at: Callable[[Array], Array]
+    ) -> Float[Array, "kinds *lanes"]:
+        """Heights of the tops, from the motion itself."""
+
+        def wide(table: Array) -> Array:
+            return jnp.expand_dims(table, -1 - self.lanes)
+
+        stored, phase, begun = (pick(tops.place, wide(a)) for a in passed[:3])
+        decay, rate, _ = (pick(phase, wide(a)) for a in self.turning)
+        now = with_wave(stored, wave_at(begun))
+        blocks = turned(turn_over(decay, rate, tops.offset), now)
+
+        def push() -> Array:
+            more = jax.vmap(self.grown, 0, 2)(phase, begun, tops.offset)
+            return blocks.at[:, :-1].add(more)
+
+        blocks = where_needed(self.resonant, push, blocks)
+        value, slope, bend = product(pick(phase, self.rows), blocks[:, :, None])
+        value = value + pick(phase, self.rest)
         # What is left to the very top.
-        more = jnp.where(inside & (bend < 0), slope**2 / (2 * jnp.where(bend < 0, -bend, 1.0)), 0.0)
-        return jnp.where(jnp.isfinite(found), value + more, -jnp.inf)
+        peaks = tops.inside & (bend < 0)
+        more = jnp.where(peaks, slope**2 / jnp.where(peaks, -2 * bend, 1.0), 0.0)
+        return jnp.where(jnp.isfinite(tops.value), value + more, -jnp.inf)
 
     def cells(
         self, blocks: Array, phase: Array, duration: Array, touching: Array
@@ -209,7 +215,7 @@ class Gauge:
         )
         bent = jnp.where(whole > 0, sixth / jnp.where(whole > 0, whole, 1.0), 0.0)
         # What a stop that is not touched would push with does not count.
-        bent = reduce(jnp.maximum, list(jnp.where(touching, bent[:-1], 0.0)), bent[-1])
+        bent = reduce(jnp.maximum, list(jnp.where(touching, bent[:-2], 0.0)), bent[-1])
         asked = (bent / (QUINTIC * self.ruler.error)) ** (1 / 6)
         asked = duration * jnp.maximum(asked, 1 / self.ruler.longest)
         return jnp.clip(jnp.ceil(asked / CELLS), 1, MOST).astype(jnp.int32)
@@ -217,7 +223,7 @@ class Gauge:
     def of_cells(
         self, blocks: Array, phase: Array, cell: Array, tick: Array
     ) -> tuple[tuple[Array, ...], "_Tops"]:
-        """Integrals over some cells; tops of the forces, of the response and of its negative."""
+        """Integrals over some cells, and tops of the signals."""
         w, h = self.force.angular_frequency, cell
         rows, rest = pick(phase, self.rows), pick(phase, self.rest)
 
@@ -226,11 +232,9 @@ class Gauge:
 
         value, slope, bend = computed_once(tick, lambda: (read(0) + rest, read(1), read(2)))
         scaled = value, slope * h, bend * h**2
-        high, low = _highest(scaled), _highest(tuple(-a[:, -1:] for a in scaled))
-        top = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), high, low)
         ends = blocks[:, :, ::CELLS]
         higher = product(pick(phase, self.higher)[:, :, :, None], ends[:, :, None])
-        response = [*(a[::CELLS, -1] for a in (value, slope, bend)), *higher]
+        response = [*(a[::CELLS, RESPONSE] for a in (value, slope, bend)), *higher]
         cosine, sine = ends[:, -1]
         signs = 1, 1, -1, -1, 1, 1
         of_sine = [sign * w**k * (sine, cosine)[k % 2] for k, sign in enumerate(signs)]
@@ -238,7 +242,7 @@ class Gauge:
 
         def integral(partner: Array, derivatives: list[Array]) -> Array:
             """Of response times partner: the trapezoidal rule, corrected by Euler and Maclaurin."""
-            f = value[:, -1] * partner
+            f = value[:, RESPONSE] * partner
             total = h * reduce(jnp.add, list(f[1:-1]), (f[0] + f[-1]) / 2)
             for order, weight in EULER_MACLAURIN.items():
                 both = [
@@ -250,15 +254,15 @@ class Gauge:
             return total
 
         integrals = (
-            integral(value[:, -1], response),
+            integral(value[:, RESPONSE], response),
             integral(blocks[1, -1], of_sine),
             integral(blocks[0, -1], of_cosine),
         )
-        return integrals, top
+        return integrals, _highest(scaled)
 
 
 class _Tops(NamedTuple):
-    """Highest places of signals: the forces, the response and its negative."""
+    """Highest places of signals."""
 
     value: Float[Array, "kinds *lanes"]
     inside: Bool[Array, "kinds *lanes"]

@@ -110,7 +110,7 @@ def contact_signals(phases: ContactPhases, force: Forcing) -> Signals:
 
 
 def measured_signals(phases: ContactPhases, force: Forcing) -> Signals:
-    """Force of every stop, N, then the response, m."""
+    """What tops are looked for in: force of every stop, N, the response, m, and its negative."""
     k, lanes = phases.num_stops, force.angular_frequency.ndim
     wide = jnp.zeros_like(force.angular_frequency)
     stiffness, damping = spread(phases.stiffness, 1, lanes), spread(phases.damping, 1, lanes)
@@ -118,7 +118,8 @@ def measured_signals(phases: ContactPhases, force: Forcing) -> Signals:
     def signals(read: Array, hold: Array, drag: Array) -> Array:
         read = read + wide
         force = hold * read[:, :k] + drag * read[:, k : 2 * k]
-        return jnp.concatenate([force, read[:, 3 * k : 3 * k + 1]], axis=1)
+        response = read[:, 3 * k : 3 * k + 1]
+        return jnp.concatenate([force, response, -response], axis=1)
 
     return Signals(
         signals(spread(phases.readout, 3, lanes), stiffness[:, None], damping[:, None]),

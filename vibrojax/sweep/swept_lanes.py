@@ -15,7 +15,7 @@ from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
 from vibrojax.steady import pool_programs
-from vibrojax.steady.fold_ahead import folds_ahead
+from vibrojax.steady.fold_ahead import compile_fold_ahead, folds_ahead
 from vibrojax.steady.lane_pool import LanePool, Onwards, Settled
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.resonance import is_unbounded, unbounded_at
@@ -206,7 +206,10 @@ def compile_ahead(plan: SweepPlan, rigs: Rigs) -> None:
     """Compile in the background what a sweep of such rigs will run: of arrays the shapes count."""
     prepared = _prepare.ahead(with_traced_numbers(plan.stepper), rigs)
     lanes = prepared.first_frequency.shape[0] * len(plan.directions)
-    pool_programs.compile_ahead(prepared.march, lanes, plan.max_period, plan.settle == "follow")
+    follow = plan.settle == "follow"
+    pool_programs.compile_ahead(prepared.march, lanes, plan.max_period, follow)
+    if follow and plan.refine_jumps is not None:
+        compile_fold_ahead(prepared.march, lanes)
 
 
 def sweep_rigs(
