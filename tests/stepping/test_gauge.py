@@ -1,0 +1,98 @@
+"""What is measured of a march: extremes from the motion itself, integrals of high order."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.stepping.gauge import PLACES
+
+
+@eqx.filter_jit
+def run(march, state, angular_frequency, periods, observe):
+    return march(state, angular_frequency, periods, observe)
+
+
+def marched(rig, ratios, periods, tolerance=1e-4, state=None, observe=True):
+    """March lanes that differ in frequency over drive periods; from rest where nothing is said."""
+    march = vj.ExactContact(tolerance).prepare(rig.equations(), rig.drive)
+    w = jnp.asarray(ratios) * float(rig.equations().angular_frequency[0])
+    weight = march.energy_weight()
+    start = jnp.zeros((weight.shape[0], len(w))) if state is None else state
+    return run(march, start, w, jnp.full(len(w), periods, jnp.int32), observe)
+
+
+@pytest.fixture(scope="module")
+def beam(rig):
+    return rig(num_modes=3)
+
+
+RATIOS = 0.95, 1.05, 1.15, 1.2
+
+
+def test_a_march_with_measures_goes_the_same_way(beam):
+    end, rounds, measures = marched(beam, RATIOS, 40)
+    bare, bare_rounds, nothing = marched(beam, RATIOS, 40, observe=False)
+    assert nothing is None
+    # Rounding, which each program does its own way, decides whether it looks once more.
+    np.testing.assert_allclose(rounds, bare_rounds, rtol=0.1)
+    np.testing.assert_allclose(end, bare, rtol=1e-12, atol=1e-12 * np.abs(bare).max(axis=1).min())
+    assert (np.asarray(measures.contacts) > 20).all()
+
+
+def test_extremes_do_not_depend_on_how_finely_it_is_measured(beam):
+    _, _, rough = marched(beam, RATIOS, 3, tolerance=1e-2)
+    _, _, fine = marched(beam, RATIOS, 3, tolerance=1e-9)
+    for name in ("highest", "lowest", "force"):
+        np.testing.assert_allclose(getattr(rough, name), getattr(fine, name), rtol=1e-7)
+    squares = [np.asarray(m.integral_of_square) for m in (rough, fine)]
+    np.testing.assert_allclose(*squares, rtol=1e-5)
+    assert (np.abs(squares[0] / squares[1] - 1) > 1e-12).any()  # it is measured in other cells
+
+
+def test_integrals_and_extremes_of_one_mode_in_closed_form(rig):
+    one = rig(num_modes=1, gap=1.0)
+    equations, ratios = one.equations(), np.array([0.5, 0.9, 1.3])
+    w1, zeta = float(equations.angular_frequency[0]), float(equations.damping_ratio[0])
+    w = ratios * w1
+    gain = equations.input_map * equations.response_map / (w1**2 - w**2 + 2j * zeta * w1 * w)
+    amplitude = np.abs(gain) * w**2 * float(one.drive.amplitude)
+    end, _, _ = marched(one, ratios, 800, observe=False)
+    _, _, measures = marched(one, ratios, 1, state=end)
+    np.testing.assert_allclose(measures.highest, amplitude, rtol=1e-11)
+    np.testing.assert_allclose(measures.lowest, -amplitude, rtol=1e-11)
+    np.testing.assert_allclose(measures.integral_of_square, amplitude**2 * np.pi / w, rtol=1e-9)
+    harmonic = np.hypot(measures.integral_with_sine, measures.integral_with_cosine)
+    np.testing.assert_allclose(harmonic, amplitude * np.pi / w, rtol=1e-9)
+
+
+def test_more_stretches_than_there_is_room_for_at_once(beam):
+    end, _, whole = marched(beam, RATIOS, 12)
+    assert (np.asarray(whole.events.number)[:3] > PLACES).all()
+    state, parts = None, []
+    for _ in range(12):
+        state, _, measures = marched(beam, RATIOS, 1, state=state)
+        parts.append(measures)
+    np.testing.assert_allclose(state, end, rtol=1e-8, atol=1e-15)
+    for name, of in (("highest", np.max), ("lowest", np.min), ("force", np.max)):
+        wanted = of([getattr(m, name) for m in parts], axis=0)
+        np.testing.assert_allclose(getattr(whole, name), wanted, rtol=1e-8)
+    for name in ("time", "integral_of_square", "contact_time", "contacts"):
+        wanted = np.sum([getattr(m, name) for m in parts], axis=0)
+        np.testing.assert_allclose(getattr(whole, name), wanted, rtol=1e-8)
+
+
+def test_measures_have_forward_derivatives(beam):
+    start, _, _ = marched(beam, RATIOS, 5, observe=False)
+    change = start * jnp.asarray([1.0, -0.5, 0.2, 0.7])
+
+    def read(share):
+        _, _, m = marched(beam, RATIOS, 2, state=start + share * change)
+        return jnp.stack([m.highest, m.lowest, m.force, m.integral_of_square])
+
+    _, slope = jax.jvp(read, (0.0,), (1.0,))
+    h = 1e-5
+    differences = (read(h) - read(-h)) / (2 * h)
+    np.testing.assert_allclose(slope, differences, rtol=2e-5, atol=1e-9)
