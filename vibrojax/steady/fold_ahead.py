@@ -155,7 +155,7 @@ def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
     fails = ~good & (solved | (rounds >= ROUNDS) | ~(error < 1.0))
     at_fold, back = good & (jnp.abs(rate) <= TURNED), good & (rate < -TURNED)
     lost = good & ~stable & (rate > NOT_YET)
-    over = lost | at_fold | ((point.w - start) / branch.way > 1.0)
+    lost |= (point.w - start) / branch.way > 1.0
     takes = search.going & good & ~back
     beyond = jnp.where(
         back, search.step, jnp.where(good, search.beyond - search.step, search.beyond)
@@ -180,7 +180,7 @@ def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
         rate=rate,
         beyond=beyond,
         rate_beyond=rate_beyond,
-        going=search.going & ~(good & over),
+        going=search.going & ~(good & (lost | at_fold)),
         found=search.found | (search.going & at_fold & ~lost),
     )
     new = branch.tried(new, step)
