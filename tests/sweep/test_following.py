@@ -85,6 +85,7 @@ def test_where_a_motion_doubles_its_period_the_sweep_does(oscillator):
 
 
 def test_two_stops_are_followed_too(rig):
+    two = rig(num_modes=2)
     near, far = (vj.Stop(0.5, 0.4e-3, vj.KelvinVoigt(5500.0, 5e-5, False), side=s) for s in (1, -1))
     system = vj.ImpactingBeam(
         two.beam, stops=(near, far), drive=two.drive, damping_ratio=0.018, num_modes=2
