@@ -15,15 +15,14 @@ from jaxtyping import Array, Bool, Float, Int
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.steady.following import (
-    TURN,
     FollowedLanes,
     advance,
     begin_track,
     can_follow,
     keeps_to_contacts,
     no_tracks,
+    size_of,
 )
-from vibrojax.steady.known_contacts import Passage
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.pool_programs import filled, measure_some, widths_for
 from vibrojax.steady.settling import is_stable
@@ -101,15 +100,8 @@ class _Branch:
         """Take a step of Newton's method: motion, its error, the way on there, if it is stable."""
         (blocks, times, w), n = search.now, len(self.unit)
         events = self.lanes.events
-
-        def passed_at(w: Array) -> tuple[tuple[Array, Array], Passage]:
-            passed = self.lanes.at(w).go_through(blocks, times, events.section + TURN)
-            return (passed.blocks, passed.late), passed
-
-        (end, late), (push, late_by_w), passed = jax.jvp(
-            passed_at, (w,), (jnp.ones_like(w),), has_aux=True
-        )
-        gap = (end - blocks).reshape(self.unit.shape) / self.unit
+        passed, push, late_by_w = self.lanes.through(w, blocks, times)
+        gap = (passed.blocks - blocks).reshape(self.unit.shape) / self.unit
         push = push.reshape(gap.shape) * self.way / self.unit
         matrix = passed.matrix.reshape(n, *gap.shape) * self.unit / self.unit[:, None]
         gone = (blocks - search.last.blocks).reshape(gap.shape) / self.unit
@@ -126,11 +118,11 @@ class _Branch:
         solved = jnp.linalg.solve(jnp.moveaxis(whole, -1, 0), jnp.moveaxis(right, -1, 0))
         change, on = jnp.moveaxis(solved, (0, 1, 2), (2, 1, 0))
         moved, dw = change[:-1] * self.unit, change[-1] * self.way
-        later = late + apply_matrix(passed.delays, moved) + late_by_w * dw
+        later = passed.late + apply_matrix(passed.delays, moved) + late_by_w * dw
         later = jnp.where(events.stop >= 0, later, 0.0)
-        error = jnp.maximum(_size(change), jnp.max(jnp.abs(later), axis=0, initial=0.0))
+        error = jnp.maximum(size_of(change), jnp.max(jnp.abs(later), axis=0, initial=0.0))
         point = _Point(blocks + moved.reshape(blocks.shape), times + later, w + dw)
-        return point, error, on / _size(on), is_stable(jnp.moveaxis(matrix, -1, 0))
+        return point, error, on / size_of(on), is_stable(jnp.moveaxis(matrix, -1, 0))
 
     def tried(self, search: _Search, step: Array) -> _Search:
         """Begin to solve for the point a step further on."""
@@ -138,10 +130,6 @@ class _Branch:
         along = (search.along * self.unit * step).reshape(blocks.shape)
         now = _Point(blocks + along, times, w + search.rate * self.way * step)
         return search._replace(now=now, step=step, rounds=jnp.zeros_like(search.rounds))
-
-
-def _size(vector: Float[Array, "rows lanes"]) -> Float[Array, " lanes"]:
-    return jnp.sqrt(jnp.sum(vector**2, axis=0))
 
 
 def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
@@ -196,7 +184,7 @@ def fold_ahead(march: LaneTable, tracks: LaneTable, way: Float[AnyArray, " lanes
     own, track = march.lanes_last(), tracks.lanes_last()
     lanes, way, w = FollowedLanes(own, track.events), jnp.asarray(way), track.frequency[0]
     # In units of their own change along the way, near a fold motions count as the frequency does.
-    change, zero = _size(track.state_slope[0]) * jnp.abs(way), jnp.zeros_like(w)
+    change, zero = size_of(track.state_slope[0]) * jnp.abs(way), jnp.zeros_like(w)
     branch = _Branch(lanes, jnp.where(change > 0, change, 1.0), way)
     begin = _Point(lanes.begin(lanes.at(w), track.state[0]), track.times[0], w)
     nothing = jnp.zeros((len(branch.unit), *w.shape))
@@ -210,10 +198,8 @@ def fold_ahead(march: LaneTable, tracks: LaneTable, way: Float[AnyArray, " lanes
         lambda carry: (_further(branch, carry[0], w), carry[1] + 1),
         (search, jnp.int32(0)),
     )
-    there, origin = search.last, jnp.where(track.events.section > 0, TURN, 0.0)
-    at = lanes.at(there.w)
-    passed = at.go_through(there.blocks, there.times, origin)
-    state = lanes.state(at, passed.blocks, passed.phase, origin) / lanes.weight
+    there = search.last
+    state = lanes.at_start(lanes.at(there.w), there.blocks, there.times)
     return table_of(FoldAhead(search.found, there.w, state, there.times))
 
 

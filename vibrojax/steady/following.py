@@ -176,22 +176,33 @@ class FollowedLanes:
         first = _Solved(blocks, times, jnp.full_like(size, jnp.inf), none, whole)
         return lax.while_loop(lambda found: jnp.any(found.going), better, first)
 
-    def with_slopes(self, w: Array, found: _Solved) -> tuple[Array, Array, Array, Array]:
-        """State and multipliers' matrix of motions; slopes of state and times by the frequency."""
-        until, first_phase = self.events.section + TURN, self.events.first_phase
+    def through(self, w: Array, blocks: Array, times: Array) -> tuple[Passage, Array, Array]:
+        """Go through a period; how its end and what the times lack depend on the frequency."""
 
         def passed_at(w: Array) -> tuple[tuple[Array, Array], Passage]:
-            passed = self.at(w).go_through(found.blocks, found.times, until)
+            passed = self.at(w).go_through(blocks, times, self.events.section + TURN)
             return (passed.blocks, passed.late), passed
+
+        _, (push, late), passed = jax.jvp(passed_at, (w,), (jnp.ones_like(w),), has_aux=True)
+        return passed, push, late
+
+    def at_start(self, at: KnownContacts, blocks: Array, times: Array) -> Array:
+        """State (q, q') at drive phase 0, which lies within the turn behind the section."""
+        origin = jnp.where(self.events.section > 0, TURN, 0.0)
+        passed = at.go_through(blocks, times, origin)
+        return self.state(at, passed.blocks, passed.phase, origin) / self.weight
+
+    def with_slopes(self, w: Array, found: _Solved) -> tuple[Array, Array, Array, Array]:
+        """State and multipliers' matrix of motions; slopes of state and times by the frequency."""
+        first_phase = self.events.first_phase
 
         def state_at(w: Array, blocks: Array) -> Array:
             return self.state(self.at(w), blocks, first_phase, self.events.section)
 
-        one = jnp.ones_like(w)
-        _, (push, late), passed = jax.jvp(passed_at, (w,), (one,), has_aux=True)
+        passed, push, late = self.through(w, found.blocks, found.times)
         change = _to_return(passed, push)
         blocks_slope = change.reshape(push.shape)
-        state, slope = jax.jvp(state_at, (w, found.blocks), (one, blocks_slope))
+        state, slope = jax.jvp(state_at, (w, found.blocks), (jnp.ones_like(w), blocks_slope))
         matrix = passed.matrix.reshape(change.shape[0], *change.shape)
         return state, matrix, slope, late + apply_matrix(passed.delays, change)
 
@@ -274,7 +285,8 @@ def _section_moved(lanes: FollowedLanes, track: Track, close: Bool[Array, " lane
     return jax.tree.map(lambda a, b: jnp.where(close, a, b), moved, track)
 
 
-def _size(state: Float[Array, "states lanes"]) -> Float[Array, " lanes"]:
+def size_of(state: Float[Array, "states lanes"]) -> Float[Array, " lanes"]:
+    """Length of vectors, one for every lane."""
     return jnp.sqrt(jnp.sum(state**2, axis=0))
 
 
@@ -287,13 +299,13 @@ def _advanced(
     guess, times = (
         jnp.where(known, a, b) for a, b in zip(ahead, (track.state[0], track.times[0]), strict=True)
     )
-    size = _size(guess)
+    size = size_of(guess)
     found = lanes.solve(at, lanes.begin(at, guess), times, jnp.where(size > 0, size, 1.0))
     state, matrix, slope, times_slope = lanes.with_slopes(w, found)
     # Along one branch the slopes at both ends give the step between them.
     step = state - track.state[0]
     straight = (w - track.frequency[0]) / 2 * (slope + track.state_slope[0])
-    bent, size, length = _size(step - straight), _size(state), _size(step)
+    bent, size, length = size_of(step - straight), size_of(state), size_of(step)
     goes_on = jnp.where(known, bent <= BENT * length + STRAIGHT * size, length <= 5 * NEAR * size)
     good = (found.error <= CLOSED) & goes_on & is_stable(jnp.moveaxis(matrix, -1, 0))
     good &= jnp.all(jnp.isfinite(slope), axis=0)
@@ -311,11 +323,7 @@ def _advanced(
         times_slope=pair(times_slope, track.times_slope),
     )
     new = jax.tree.map(lambda a, b: jnp.where(good, a, b), point, track)
-    # Drive phase 0 lies within the turn behind the section.
-    origin = jnp.where(events.section > 0, TURN, 0.0)
-    passed = at.go_through(found.blocks, found.times, origin)
-    at_start = lanes.state(at, passed.blocks, passed.phase, origin) / lanes.weight
-    return new, Followed(good, at_start, found.rounds)
+    return new, Followed(good, lanes.at_start(at, found.blocks, found.times), found.rounds)
 
 
 @compiled

@@ -22,6 +22,7 @@ from vibrojax.stepping import exact_contact, splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases, phases_of
 from vibrojax.stepping.cubic import cubic_between
 from vibrojax.stepping.forcing import Forcing, forcing, longest_step
+from vibrojax.stepping.gauge import Ruler
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.runs import AbstractRun, EqualRun
 
@@ -33,7 +34,7 @@ Counts = Int[Array, "*lanes"]
 
 
 MEASURED = 2e-4
-"""Error of the curves on which extremes are read, over the tolerance."""
+"""Error of the cells in which a motion is measured, over the tolerance."""
 
 
 class AbstractMarch(eqx.Module):
@@ -190,11 +191,11 @@ class ExactMarch(AbstractMarch):
             ruler = self._ruler(2 * jnp.pi / angular_frequency)
         return exact_contact.march(self.phases, force, state, periods, ruler=ruler)
 
-    def _ruler(self, period: Lanes) -> exact_contact.Ruler:
+    def _ruler(self, period: Lanes) -> Ruler:
         """How finely motions are measured."""
         if self.steps_per_period is None:
-            return exact_contact.Ruler(MEASURED * self.tolerance, jnp.full_like(period, jnp.inf))
-        return exact_contact.Ruler(jnp.full_like(period, jnp.inf), period / self.steps_per_period)
+            return Ruler(MEASURED * self.tolerance, jnp.full_like(period, jnp.inf))
+        return Ruler(jnp.full_like(period, jnp.inf), period / self.steps_per_period)
 
     def run_at(self, angular_frequency: Lanes) -> exact_contact.ExactRun:
         """Make lanes at their drive frequencies ready to go on from period to period."""
