@@ -228,8 +228,8 @@ def folds_ahead(
         _, _, measures = measure_some(system, begin, w, one).columns()
         tracks = no_tracks(len(lanes), begin.shape[1])
         track = tracks.columns()
-        weighted = begin * weight[rig[lanes]]
-        begin_track(track, np.arange(len(lanes)), weighted, w, measures.events)
+        unit = weight[rig[lanes]]
+        begin_track(track, np.arange(len(lanes)), begin * unit, w, measures.events)
         solved = advance(system, tracks, w)
         _, here = solved.columns()
         tracks.numbers[:] = np.asarray(solved.numbers)[:, : tracks.numbers.shape[1]]
@@ -241,10 +241,8 @@ def folds_ahead(
             np.where(good, ahead.angular_frequency, w),
         )
         end, _, measures = measure_some(system, at, w, one).columns()
-        size = np.linalg.norm(at * weight[rig[lanes]], axis=1)
-        gone = np.linalg.norm((end - at) * weight[rig[lanes]], axis=1) / np.maximum(size, 1e-300)
         track.times[:, 0] = ahead.times
-        good &= keeps_to_contacts(track, measures.events, gone)
+        good &= keeps_to_contacts(track, measures.events, at * unit, (end - at) * unit)
         found[own] = np.where(good, w, np.nan)[: len(own)]
     return found
 

@@ -343,13 +343,18 @@ def advance(
 
 
 def keeps_to_contacts(
-    track: Track, log: EventLog, returned: Float[np.ndarray, " lanes"]
+    track: Track,
+    log: EventLog,
+    begun: Float[np.ndarray, "lanes states"],
+    gone: Float[np.ndarray, "lanes states"],
 ) -> Bool[np.ndarray, " lanes"]:
     """Whether motions that were marched for a period keep to the contacts of their tracks.
 
-    `log` is what the march met, and `returned` how far from where it began it ended,
-    over the size of the state.
+    `log` is what the march met, `begun` where it began and `gone` how far from there it ended,
+    both in units of energy.
     """
+    size = np.maximum(np.linalg.norm(begun, axis=1), 1e-300)
+    returned = np.linalg.norm(gone, axis=1) / size
     used = track.events.stop >= 0
     angle = np.where(used, track.times[:, 0], np.pi)
     # A change of contact at drive phase 0 may count at the beginning, at the end or not at all.

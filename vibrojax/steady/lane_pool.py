@@ -273,10 +273,8 @@ class LanePool:
         one = np.ones(len(lanes), np.int32)
         end, steps, measures = self._marched(own, lanes, self.arrived_at[lanes], one)
         arrived, weight = self.arrived_at[own], self.weight[own]
-        gone = np.linalg.norm((end - arrived) * weight, axis=1)
-        size = np.linalg.norm(arrived * weight, axis=1)
-        track = self.tracks.pick(own).columns()
-        keeps = keeps_to_contacts(track, measures.events, gone / np.maximum(size, 1e-300))
+        track, gone = self.tracks.pick(own).columns(), (end - arrived) * weight
+        keeps = keeps_to_contacts(track, measures.events, arrived * weight, gone)
         self.search.steps[own] += steps
         self._give_up(own[~keeps])
         own, measures = own[keeps], jax.tree.map(lambda a: a[keeps], measures)
