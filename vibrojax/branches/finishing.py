@@ -1,15 +1,16 @@
-"""From traced points to branches: exact motions, special points, ratios, and the result."""
+"""From points to branches: ratios, special points, and the result."""
 
 from importlib.metadata import version
 
 import jax.numpy as jnp
 import numpy as np
 
+from vibrojax.branches.continuation import Ending
 from vibrojax.branches.plan import Plan
-from vibrojax.branches.points import CURVES, BranchPoints, SpecialPoint
+from vibrojax.branches.points import CURVES, BranchPoints, ExactCurve, SpecialPoint
 from vibrojax.branches.readings import Columns, columns_of
 from vibrojax.branches.special_points import special_points
-from vibrojax.branches.tracing import Traced, held_from, make_exact, put
+from vibrojax.branches.tracing import Traced
 from vibrojax.steady.balanced_motion import read_all
 from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath
@@ -18,43 +19,52 @@ from vibrojax.steady.paths import AbstractPath
 def finish(
     plan: Plan, paths: AbstractPath, traced: list[Traced], notes: list[str]
 ) -> list[BranchPoints]:
-    """Make the points exact, find the special ones and put the result together, lane by lane."""
+    """Read the points of balanced branches, find the special ones, make the results."""
     lane = np.repeat(np.arange(len(traced)), [len(t.parameter) for t in traced])
     columns = _columns(plan, paths, traced, lane)
     good = np.isfinite(columns["amplitude_ratio"])
     own = [{n: c[(lane == k) & good] for n, c in columns.items()} for k in range(len(traced))]
-    depth = [t.depth[good[lane == k]] for k, t in enumerate(traced)]
-    special = special_points(paths, own, depth, plan.period, plan.exact)
+    special = special_points(paths, own, plan.period)
     return [
-        _branch(plan, k, take(paths, np.array([k])), traced[k], notes[k], own[k], depth[k], points)
+        branch_of(
+            plan,
+            k,
+            take(paths, np.array([k])),
+            traced[k].ending,
+            notes[k],
+            own[k],
+            points,
+            ticks=traced[k].ticks,
+            depth=traced[k].depth[good[lane == k]],
+        )
         for k, points in enumerate(special)
     ]
 
 
-def _branch(
+def branch_of(
     plan: Plan,
     lane: int,
     path: AbstractPath,
-    traced: Traced,
+    ending: Ending,
     note: str,
     columns: Columns,
-    depth: np.ndarray,
     points: tuple[SpecialPoint, ...],
+    *,
+    ticks: int,
+    depth: np.ndarray | None = None,
+    curve: ExactCurve | None = None,
 ) -> BranchPoints:
+    """Put the result of a lane together."""
     natural = columns.pop("natural_frequency")
     begun = len(natural) > 0
-    sentence = traced.ending.sentence if begun else "No periodic motion was found to start from."
-    inexact = int(np.sum(~columns["exact_points"])) if plan.exact else 0
-    if inexact:
-        which = "1 point is" if inexact == 1 else f"{inexact} points are"
-        note += f" {which} harmonic balance only: no exact motion was found there."
+    sentence = ending.sentence if begun else "No periodic motion was found to start from."
     return BranchPoints(
         axis=plan.axis,
         special_points=points,
         period=plan.period,
-        status=traced.ending.name,
+        status=ending.name,
         sentence=sentence + note,
-        ticks=traced.ticks,
+        ticks=ticks,
         exact=plan.exact,
         ratio_units=plan.ratio_units,
         natural_frequency=float(natural[0]) if begun else np.nan,
@@ -69,6 +79,7 @@ def _branch(
         },
         path=path,
         depth=depth,
+        curve=curve,
         **columns,
     )
 
@@ -83,13 +94,13 @@ def _columns(plan: Plan, paths: AbstractPath, traced: list[Traced], lane: np.nda
         alike = [t.depth for t in traced if t.depth.shape[-1] == size[at[0]]]
         parts.append(_read(plan, paths, lane[at], np.concatenate(alike), parameter[at]))
     if not parts:
-        return _nothing(2 * int(take(paths, 0).at(jnp.asarray(plan.low)).equations.size))
+        return nothing(2 * int(take(paths, 0).at(jnp.asarray(plan.low)).equations.size))
     order = np.argsort(np.concatenate(groups))
     columns = {name: np.concatenate([p[name] for p in parts])[order] for name in parts[0]}
     return columns | {"arclength": np.concatenate([_arclength(t) for t in traced])}
 
 
-def _nothing(states: int) -> Columns:
+def nothing(states: int) -> Columns:
     """Columns of no points."""
     names = ("values", "arclength", "natural_frequency", *CURVES)
     return {name: np.zeros(0) for name in names if name != "leading_multiplier"} | {
@@ -102,33 +113,8 @@ def _nothing(states: int) -> Columns:
 def _read(
     plan: Plan, paths: AbstractPath, lane: np.ndarray, depth: np.ndarray, parameter: np.ndarray
 ) -> Columns:
-    """Read points exactly, and off the balance where that is all there is."""
-
-    def balanced(at: np.ndarray) -> Columns:
-        motion = read_all(paths, lane[at], depth[at], parameter[at], period=plan.period)
-        return columns_of(paths, lane[at], parameter[at], motion, plan.period)
-
-    def held(at: np.ndarray, near: np.ndarray):
-        """Find points at their own parameters from motions of themselves or of others."""
-        usable = points.valid[near] & (lane[near] == lane[at])
-        at, others = at[usable], take(points, near[usable])
-        return held_from(paths, lane, points, at, others, parameter, plan.period)
-
-    if not plan.exact:
-        return balanced(np.arange(len(lane)))
-    ends = np.isin(parameter, (plan.low, plan.high))
-    points = make_exact(paths, lane, depth, parameter, period=plan.period, hold=ends)
-    # What moves across the branch can leave the range.
-    left = np.flatnonzero((points.parameter < plan.low) | (points.parameter > plan.high))
-    points = held(left, left)
-    for way in (-1, 1):
-        # Next to a touch the sampled motion can have a contact too many or too few.
-        failed = np.flatnonzero(~points.valid)
-        points = held(failed, np.clip(failed + way, 0, len(lane) - 1))
-    failed = np.flatnonzero(~points.valid)
-    values = np.where(points.valid, points.parameter, parameter)
-    columns = columns_of(paths, lane, values, points, plan.period)
-    return put(columns, balanced(failed), failed) if len(failed) else columns
+    motion = read_all(paths, lane, depth, parameter, period=plan.period)
+    return columns_of(paths, lane, parameter, motion, plan.period)
 
 
 def _arclength(traced: Traced) -> np.ndarray:

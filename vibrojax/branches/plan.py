@@ -8,8 +8,8 @@ from vibrojax.branches.over_range import scale_of, trace_over
 from vibrojax.branches.tracing import Traced
 from vibrojax.steady.paths import AbstractPath
 
-CONVERGED = 1e-4
-"""Newton correction at which a point to be made exact counts as found; others go on to 1e-8."""
+CONVERGED = 1e-8
+"""Newton correction at which a balanced point counts as found."""
 
 
 class Plan(NamedTuple):
@@ -31,19 +31,24 @@ class Plan(NamedTuple):
     ratio_units: str
     description: str
 
+    @property
+    def scale(self) -> float:
+        """Change of the parameter that counts as much as a change of the motion by its size."""
+        largest = 1.0 if self.axis == "frequency_ratio" else np.inf
+        return scale_of(self.low, self.high, largest)
+
     def trace(
         self, paths: AbstractPath, start: np.ndarray, guess: Any = None, **others: Any
     ) -> list[Traced]:
         """Trace some lanes; upwards from free flight, or as `trace_over` is told."""
-        largest = 1.0 if self.axis == "frequency_ratio" else np.inf
         return trace_over(
             paths,
             start,
             self.low,
             self.high,
-            scale=scale_of(self.low, self.high, largest),
+            scale=self.scale,
             guess=guess,
-            tolerance=CONVERGED if self.exact else 1e-8,
+            tolerance=CONVERGED,
             longest=self.longest_step,
             period=self.period,
             max_points=self.max_points,

@@ -1,11 +1,12 @@
 """The points of a branch of periodic responses, as a continuation finds them."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
+from vibrojax.branches.walking import OnCurve, Touch
 from vibrojax.results.variables import axis_description, axis_unit, described_as
 from vibrojax.steady.paths import AbstractPath
 
@@ -23,14 +24,29 @@ CURVES = (
     "leading_multiplier",
     "residual",
 )
-SPECIAL = ("folds", "period_doublings", "neimark_sackers", "grazings")
+SPECIAL = ("folds", "period_doublings", "neimark_sackers", "grazings", "contact_changes")
+TURNS = ("fold", "touch_fold")
+"""Kinds of special points at which a branch turns round."""
+
+
+class ExactCurve(NamedTuple):
+    """Exact motions along a branch: where a search between them starts from."""
+
+    unit: Float[np.ndarray, " states"]
+    """Weights of states (q, q') in the energy."""
+    scale: float
+    """Change of the parameter that counts as much as the state changing by its size."""
+    motions: tuple[OnCurve, ...]
+    touches: tuple[Touch, ...]
 
 
 class SpecialPoint(eqx.Module):
-    """A fold, period doubling, Neimark-Sacker point or first touch, refined."""
+    """A fold, period doubling, Neimark-Sacker point or touch, refined."""
 
     kind: str = eqx.field(static=True)
-    """`fold`, `period_doubling`, `neimark_sacker` or `grazing` (a first touch)."""
+    """`fold`, `touch_fold` (the branch turns round in a corner, where a contact begins or ends),
+    `period_doubling`, `neimark_sacker`, `grazing` (a stop is touched that was not touched before)
+    or `contact_change` (another contact of a stop begins or ends)."""
     parameter: float
     """In the unit that was asked for."""
     amplitude_ratio: float
@@ -38,7 +54,7 @@ class SpecialPoint(eqx.Module):
     contact_force: float
     """N."""
     initial_state: Float[np.ndarray, " states"] | None
-    """(q, q') at drive phase 0; None for a touch, whose motion is contact-free."""
+    """(q, q') at drive phase 0; None where the motion is contact-free."""
     after: int
     """Index of the branch point before it."""
 
@@ -87,7 +103,7 @@ class BranchPoints(eqx.Module):
     period: int = eqx.field(static=True)
     """Drive periods after which the motion repeats."""
     status: str = eqx.field(static=True)
-    """How the branch ended: completed, stuck, turned_back, closed or running."""
+    """How the branch ended: completed, stuck, turned_back, closed, joined or running."""
     sentence: str = eqx.field(static=True)
     """The status in words, and any fallback that was needed."""
     ticks: int = eqx.field(static=True)
@@ -108,8 +124,11 @@ class BranchPoints(eqx.Module):
     """What was run: rig, settings, versions."""
     path: AbstractPath
     """The system along the parameter, as one lane of a stack."""
-    depth: Complex[np.ndarray, "points stops harmonics"]
-    """Spectra of the averaged depth at the stops: where a search nearby starts from."""
+    depth: Complex[np.ndarray, "points stops harmonics"] | None
+    """Of balanced branches the spectra of the averaged depth at the stops, from where a search
+    nearby starts."""
+    curve: ExactCurve | None
+    """The same of exact branches."""
 
     @property
     def frequency_ratio(self) -> Float[np.ndarray, " points"]:
@@ -142,11 +161,18 @@ class BranchPoints(eqx.Module):
         return self.status == "completed"
 
     def _special(self, kind: str) -> Float[np.ndarray, " special"]:
-        return np.array([s.parameter for s in self.special_points if s.kind == kind], float)
+        return np.array([s.parameter for s in self._points(kind)], float)
+
+    def _points(self, kind: str) -> list[SpecialPoint]:
+        kinds = TURNS if kind == "fold" else (kind,)
+        return [point for point in self.special_points if point.kind in kinds]
 
     @property
     def folds(self) -> Float[np.ndarray, " folds"]:
-        """Where the branch turns round, in the unit that was asked for, along the branch."""
+        """Where the branch turns round, in the unit that was asked for, along the branch.
+
+        In a corner too (`touch_fold`), where a contact begins or ends.
+        """
         return self._special("fold")
 
     @property
@@ -163,6 +189,11 @@ class BranchPoints(eqx.Module):
     def grazings(self) -> Float[np.ndarray, " grazings"]:
         """Where the motion first touches a stop."""
         return self._special("grazing")
+
+    @property
+    def contact_changes(self) -> Float[np.ndarray, " contact_changes"]:
+        """Where another contact of a stop that is touched begins or ends."""
+        return self._special("contact_change")
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return a dataset along `point`, with units, long names and the rig in its attributes."""
@@ -185,7 +216,7 @@ class BranchPoints(eqx.Module):
         data["initial_state"] = described("initial_state", ("point", "state"), self.initial_state)
         for kind in SPECIAL:
             label, dim = kind.replace("_", " ").capitalize(), kind[:-1]
-            own = [point for point in self.special_points if point.kind == dim]
+            own = self._points(dim)
             where = {"units": axis_units, "long_name": f"{label} of {self.axis}"}
             after = {"units": "1", "long_name": "Index of the point before it"}
             data[kind] = (dim, getattr(self, kind), where)

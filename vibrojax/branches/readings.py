@@ -1,4 +1,4 @@
-"""What a branch tells of its motions, exact or balanced."""
+"""What a branch tells of its motions."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,6 @@ import numpy as np
 from vibrojax._tools.compiled import compiled
 from vibrojax.steady.balanced_motion import BalancedMotion
 from vibrojax.steady.batches import in_batches
-from vibrojax.steady.exact_point import ExactPoint
 from vibrojax.steady.paths import AbstractPath, localise
 
 Columns = dict[str, np.ndarray]
@@ -23,20 +22,22 @@ def _references(paths: AbstractPath, parameter):
     return jax.vmap(one)(paths, parameter)
 
 
-def columns_of(
-    paths: AbstractPath,
-    lane: np.ndarray,
-    values: np.ndarray,
-    motion: ExactPoint | BalancedMotion,
-    period: int,
-) -> Columns:
-    """Return the columns of a branch at motions of some lanes; displacements as ratios."""
+def references(
+    paths: AbstractPath, lane: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Amplitudes of the drive and first natural frequencies (Hz) of lanes at some values."""
     paths = jax.device_get(paths)
     reference, natural = in_batches(
         lambda i: _references(localise(paths, lane[i], values[i], False), values[i]), len(lane)
     )
-    exact = isinstance(motion, ExactPoint)
-    read = motion.reading if exact else motion
+    return reference, natural / 2 / np.pi
+
+
+def columns_of(
+    paths: AbstractPath, lane: np.ndarray, values: np.ndarray, read: BalancedMotion, period: int
+) -> Columns:
+    """Return the columns of a branch at balanced motions of some lanes; displacements as ratios."""
+    reference, natural = references(paths, lane, values)
     columns = {
         "values": values,
         "amplitude_ratio": (read.highest - read.lowest) / 2 / reference,
@@ -46,10 +47,10 @@ def columns_of(
         "contact_force": read.contact_force,
         "contact_fraction": read.contact_fraction,
         "contacts_per_period": read.contacts / period,
-        "floquet_multipliers": motion.multipliers,
-        "residual": motion.residual,
+        "floquet_multipliers": read.multipliers,
+        "residual": read.residual,
         "initial_state": read.initial_state,
-        "exact_points": motion.valid if exact else np.zeros(len(lane), bool),
-        "natural_frequency": natural / 2 / np.pi,
+        "exact_points": np.zeros(len(lane), bool),
+        "natural_frequency": natural,
     }
     return {name: np.asarray(column) for name, column in columns.items()}

@@ -5,19 +5,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vibrojax._tools.described import in_short
+from vibrojax.branches.exact_results import columns_of_motions, motions_at, walk_of
 from vibrojax.branches.points import CURVES, BranchPoints
 from vibrojax.branches.readings import Columns, columns_of
-from vibrojax.branches.tracing import held_from, make_exact
 from vibrojax.results.variables import axis_description, described_as
 from vibrojax.steady.balanced_motion import read_all, solve_all
-from vibrojax.steady.batches import take
 
 if TYPE_CHECKING:
     import xarray
 
 READ = (*CURVES, "stable", "initial_state")
-CREEPS = 8
-"""Tries to close in on a value where the branch is steep."""
 
 
 def resample(branch: BranchPoints, values: Any) -> "xarray.Dataset":
@@ -89,41 +86,6 @@ def polynomial_weights(nodes: np.ndarray, value: float) -> np.ndarray:
     return np.array([np.prod([(value - b) / (a - b) for b in nodes if b != a]) for a in nodes])
 
 
-def _exactly(branch: BranchPoints, values, first, share, depth):
-    """Exact motions at the values; where the branch is steep, by creeping along it."""
-    lane = np.zeros(len(values), int)
-    period = branch.period
-    point = make_exact(branch.path, lane, depth, values, period=period, hold=True)
-    left = np.flatnonzero(~point.valid)
-    if not len(left):
-        return point
-    x, i = branch.values, first[left]
-    low, high = np.zeros(len(left)), np.ones(len(left))
-    below, above = x[i] - values[left], x[i + 1] - values[left]
-    near = take(point, left)
-    for turn in range(CREEPS):
-        middle = np.clip(low - below * (high - low) / (above - below), low, high)
-        middle = np.where(turn % 3 == 2, (low + high) / 2, middle)
-        way = middle[:, None, None]
-        between = (1 - way) * branch.depth[i] + way * branch.depth[i + 1]
-        guess = (1 - middle) * x[i] + middle * x[i + 1]
-        near = make_exact(branch.path, lane[left], between, guess, period=period)
-        value = np.where(near.valid, near.parameter - values[left], guess - values[left])
-        same = value * below > 0
-        low, below = np.where(same, middle, low), np.where(same, value, below)
-        high, above = np.where(same, high, middle), np.where(same, above, value)
-    near = near._replace(valid=np.ones(len(left), bool))
-    point = held_from(branch.path, lane, point, left, near, values, period)
-    # Next to a resonance without damping samples do not determine the state: from the points.
-    for way in (0, 1):
-        left = np.flatnonzero(~point.valid)
-        if len(left):
-            i = first[left] + way
-            near = make_exact(branch.path, lane[left], branch.depth[i], x[i], period=period)
-            point = held_from(branch.path, lane, point, left, near, values, period)
-    return point
-
-
 def _points(branch: BranchPoints, values, first, share) -> Columns:
     """Read points of the branch itself."""
     index = first + share.astype(int)
@@ -132,16 +94,8 @@ def _points(branch: BranchPoints, values, first, share) -> Columns:
 
 def _solve(branch: BranchPoints, values, first, share) -> Columns:
     """Solve at the values held fixed; NaN where no motion is found near the branch."""
-    lane = np.zeros(len(values), int)
-    places = zip(first.tolist(), share.tolist(), strict=True)
-    depth = np.array([_interpolated(branch, i, s) for i, s in places])
-    if branch.exact:
-        motion = _exactly(branch, values, first, share, depth)
-        good = motion.valid
-    else:
-        depth, good = solve_all(branch.path, lane, depth, values, period=branch.period)
-        motion = read_all(branch.path, lane, depth, values, period=branch.period)
-    columns = columns_of(branch.path, lane, values, motion, branch.period)
+    solve = _balanced if branch.curve is None else _exact
+    columns, good = solve(branch, values, first, share)
     leading = np.max(np.abs(columns["floquet_multipliers"]), axis=1)
     columns |= {"leading_multiplier": leading, "stable": (leading < 1).astype(float)}
     return {
@@ -149,3 +103,30 @@ def _solve(branch: BranchPoints, values, first, share) -> Columns:
         for n, c in columns.items()
         if n in READ
     }
+
+
+def _balanced(branch: BranchPoints, values, first, share) -> tuple[Columns, np.ndarray]:
+    lane = np.zeros(len(values), int)
+    places = zip(first.tolist(), share.tolist(), strict=True)
+    depth = np.array([_interpolated(branch, i, s) for i, s in places])
+    depth, good = solve_all(branch.path, lane, depth, values, period=branch.period)
+    motion = read_all(branch.path, lane, depth, values, period=branch.period)
+    return columns_of(branch.path, lane, values, motion, branch.period), good
+
+
+def _exact(branch: BranchPoints, values, first, share) -> tuple[Columns, np.ndarray]:
+    assert branch.curve is not None
+    walk = walk_of(branch.curve, branch.period, branch.range)
+    places = list(zip(first.tolist(), values.tolist(), strict=True))
+    motions, seen = motions_at(branch.path, walk, branch.period, places)
+    good = np.array([motion is not None for motion in motions])
+    # Something has to stand where there is no motion.
+    motions = [motion or walk.points[k] for motion, (k, _) in zip(motions, places, strict=True)]
+    known = next((each for each in seen if each is not None), None)
+    if known is None:
+        return {name: np.full(len(values), np.nan) for name in CURVES} | {
+            "initial_state": np.full((len(values), len(walk.unit)), np.nan),
+            "floquet_multipliers": np.full((len(values), len(walk.unit)), np.nan),
+        }, good
+    seen = [each or known for each in seen]
+    return columns_of_motions(branch.path, 0, motions, seen, branch.period), good

@@ -1,8 +1,6 @@
-"""Folds, period doublings, Neimark-Sacker points and first touches of a traced branch.
+"""Folds, period doublings, Neimark-Sacker points and first touches of a balanced branch.
 
-They are found between points of the branch and refined on exact motions: a handful of motions
-between the neighbours are solved at once, the place is narrowed to between two of them, and the
-same again.
+They are found between points of the branch; touches are solved for exactly.
 """
 
 from itertools import pairwise
@@ -15,49 +13,27 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.compiled import compiled
 from vibrojax.branches.points import SpecialPoint
-from vibrojax.branches.readings import Columns, columns_of
-from vibrojax.branches.tracing import make_exact, put
-from vibrojax.steady.batches import in_batches, take
+from vibrojax.branches.readings import Columns
+from vibrojax.steady.batches import in_batches
 from vibrojax.steady.condensed import receptance
-from vibrojax.steady.exact_point import ExactPoint
 from vibrojax.steady.paths import AbstractPath, FrequencyPath, localise
-
-SAMPLES = 16
-"""Motions looked at in each round of refinement."""
-SNAP = 2e-3
-"""Largest relative distance of a fold from the touch that it is put on."""
-REACH = 3
-"""Farthest that the touch may lie along the branch, in points."""
 
 
 def special_points(
-    paths: AbstractPath, columns: list[Columns], depth: list[np.ndarray], period: int, exact: bool
+    paths: AbstractPath, columns: list[Columns], period: int
 ) -> list[tuple[SpecialPoint, ...]]:
-    """Find the special points of every branch, refined where its motions are exact."""
-    points: list[list[SpecialPoint]] = [[] for _ in columns]
-    brackets: list[Bracket] = []
+    """Find the special points of balanced branches."""
+    points: list[tuple[SpecialPoint, ...]] = []
     for k, own in enumerate(columns):
-        sound = own["exact_points"] if exact else np.ones(len(own["values"]), bool)
-        brackets += _brackets(k, own["values"], own["floquet_multipliers"], sound)
-    if exact:
-        # Lanes that fell back on another resolution have spectra of another length.
-        for size in sorted({depth[b.lane].shape[-1] for b in brackets}):
-            alike = [b for b in brackets if depth[b.lane].shape[-1] == size]
-            for lane, point in _refined(paths, columns, depth, alike, period):
-                points[lane].append(point)
-    else:
-        for b in brackets:
-            own = columns[b.lane]
+        found = []
+        for b in _brackets(own["values"], own["floquet_multipliers"]):
             both = own["floquet_multipliers"][b.at : b.at + 2]
             if b.kind != "neimark_sacker" or on_circle(both, 0.1, 1e-3).any():
-                points[b.lane].append(_unrefined(b, own))
-    for k, own in enumerate(columns):
+                found.append(_unrefined(b, own))
         if period == 1 and len(own["values"]):
-            points[k] += _first_touches(paths, k, own["values"], own["contact_fraction"] > 0)
-        if exact:
-            folds = [b.at for b in brackets if b.kind == "fold" and b.lane == k]
-            points[k] = _cornered(points[k], folds, own["values"])
-    return [tuple(sorted(found, key=lambda p: p.after)) for found in points]
+            found += _first_touches(paths, k, own["values"], own["contact_fraction"] > 0)
+        points.append(tuple(sorted(found, key=lambda p: p.after)))
+    return points
 
 
 def _special_point(kind: str, parameter: float, columns: Columns, row: int, after: int):
@@ -96,96 +72,26 @@ class Bracket(NamedTuple):
     """Where between the points of a branch a special one lies."""
 
     kind: str
-    lane: int
     at: int
     """Index of the middle point (fold) or of the first of the two."""
 
 
-def _brackets(
-    lane: int, parameter: np.ndarray, multipliers: np.ndarray, sound: np.ndarray
-) -> list[Bracket]:
-    """Find between which points of a branch special ones lie.
-
-    Only `sound` points count; a gap of more than two others between them is not bridged.
-    """
-    found = []
-    at = np.flatnonzero(sound)
-    if len(at) < 3:
-        return found
-    step, near = np.diff(parameter[at]), np.diff(at) <= 3
+def _brackets(parameter: np.ndarray, multipliers: np.ndarray) -> list[Bracket]:
+    """Find between which points of a branch special ones lie."""
+    if len(parameter) < 3:
+        return []
+    found, step = [], np.diff(parameter)
     # A fold turns the parameter round; steps of round-off turn nothing.
     size = 1e-11 * np.max(np.abs(parameter), initial=0.0)
     moving = np.flatnonzero(np.abs(step) > size)
     for before, after in pairwise(moving):
-        if step[before] * step[after] < 0 and near[before : after + 1].all():
-            found.append(Bracket("fold", lane, int(at[after])))
+        if step[before] * step[after] < 0:
+            found.append(Bracket("fold", int(after)))
     for kind, test in (("period_doubling", doubling_test), ("neimark_sacker", torus_test)):
-        value = test(multipliers[at])
-        for i in np.flatnonzero((value[:-1] * value[1:] < 0) & near):
-            found.append(Bracket(kind, lane, int(at[i])))
+        value = test(multipliers)
+        for i in np.flatnonzero(value[:-1] * value[1:] < 0):
+            found.append(Bracket(kind, int(i)))
     return found
-
-
-def _refined(
-    paths: AbstractPath,
-    columns: list[Columns],
-    depth: list[np.ndarray],
-    brackets: list[Bracket],
-    period: int,
-) -> list[tuple[int, SpecialPoint]]:
-    """Refine special points, each with its lane; those that are none are left out."""
-    kinds, lanes = [b.kind for b in brackets], np.array([b.lane for b in brackets])
-    fold = np.array(kinds) == "fold"
-    at = np.array([b.at for b in brackets])
-    # Places along the branch are counted in points, from the middle one of three neighbours.
-    middle = np.clip(at, 1, np.array([len(columns[k]["values"]) for k in lanes]) - 2)
-    near = [slice(m - 1, m + 2) for m in middle]
-    three_depths = np.stack([depth[k][n] for k, n in zip(lanes, near, strict=True)])
-    three_values = np.stack([columns[k]["values"][n] for k, n in zip(lanes, near, strict=True)])
-    low = np.where(fold, -1.0, at - middle)
-    high = np.where(fold, 1.0, low + 1.0)
-    keep, best = np.ones(len(brackets), bool), np.zeros(len(brackets))
-
-    def solve(s: Float[np.ndarray, "brackets places"]) -> ExactPoint:
-        """Solve for motions from the quadratic through the neighbours at -1, 0 and 1."""
-        weight = np.stack([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2], axis=-1)
-        depth = np.einsum("bk...,bsk->bs...", three_depths, weight)
-        values = np.einsum("bk,bsk->bs", three_values, weight).ravel()
-        lane = np.repeat(lanes, s.shape[1])
-        return make_exact(paths, lane, depth.reshape(-1, *depth.shape[2:]), values, period=period)
-
-    def look() -> tuple[ExactPoint, np.ndarray, np.ndarray]:
-        """Solve for motions at places between the ends, and narrow the ends around the point."""
-        places = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, SAMPLES)
-        samples = solve(places)
-        p = np.where(samples.valid, samples.parameter, np.nan).reshape(places.shape)
-        m = np.asarray(samples.multipliers).reshape(*places.shape, -1)
-        for k, kind in enumerate(kinds):
-            low[k], high[k], best[k], seen = _narrow(kind, places[k], p[k], m[k])
-            keep[k] &= seen
-        return samples, places, p
-
-    look()
-    samples, places, p = look()
-    for k in np.flatnonzero(fold):
-        best[k] = _vertex(places[k], p[k], best[k])
-    points = _or_best_sample(solve(best[:, None]), samples, fold)
-    turned = on_circle(np.asarray(points.multipliers))
-    keep &= points.valid & (turned | (np.array(kinds) != "neimark_sacker"))
-    # One fold can be seen from two brackets.
-    found: dict[tuple[str, int, float], int] = {}
-    rows = np.flatnonzero(keep)
-    for k in sorted(rows.tolist(), key=lambda k: (lanes[k], at[k], points.parameter[k])):
-        found.setdefault((kinds[k], int(lanes[k]), round(float(points.parameter[k]), 9)), k)
-    if not found:
-        return []
-    rows = np.array(list(found.values()))
-    points = take(points, rows)
-    own = columns_of(paths, lanes[rows], points.parameter, points, period)
-    return [
-        (lane, _special_point(kind, own["values"][j], own, j, int(at[rows[j]])))
-        for j, (kind, lane, _) in enumerate(found)
-    ]
 
 
 def _unrefined(bracket: Bracket, columns: Columns) -> SpecialPoint:
@@ -198,65 +104,10 @@ def _unrefined(bracket: Bracket, columns: Columns) -> SpecialPoint:
     return _special_point(bracket.kind, parameter, columns, at, at)
 
 
-def _or_best_sample(points: ExactPoint, samples: ExactPoint, fold: np.ndarray) -> ExactPoint:
-    """Where the last motion failed (a corner, at a touch) take the best of the samples before."""
-    chosen = np.full(len(fold), -1)
-    for k in np.flatnonzero(fold & ~points.valid):
-        rows = np.arange(k * SAMPLES, (k + 1) * SAMPLES)
-        rows = rows[samples.valid[rows]]
-        if len(rows) >= 3:
-            p = samples.parameter[rows]
-            up = np.max(p) - max(p[0], p[-1]) >= min(p[0], p[-1]) - np.min(p)
-            chosen[k] = rows[np.argmax(p) if up else np.argmin(p)]
-    at = np.flatnonzero(chosen >= 0)
-    return put(points, take(samples, chosen[at]), at)
-
-
-def _narrow(kind, place, parameter, multipliers):
-    """Narrow a bracket to around the place where the parameter turns or the test changes sign.
-
-    Returns the new bracket, the place itself as far as it is known, and whether it was seen.
-    """
-    good = np.isfinite(parameter)
-    lost = place[0], place[-1], (place[0] + place[-1]) / 2, False
-    if good.sum() < 3:
-        return lost
-    if kind == "fold":
-        ends = parameter[good][0], parameter[good][-1]
-        up = np.nanmax(parameter) - max(ends)
-        down = min(ends) - np.nanmin(parameter)
-        if max(up, down) <= 0:
-            return lost
-        at = int(np.nanargmax(parameter) if up >= down else np.nanargmin(parameter))
-        return place[max(at - 1, 0)], place[min(at + 1, len(place) - 1)], place[at], True
-    test = doubling_test if kind == "period_doubling" else torus_test
-    value = np.where(good, test(multipliers), np.nan)
-    at = np.flatnonzero(good)
-    for a, b in pairwise(at):
-        if value[a] * value[b] <= 0:
-            share = 0.5 if value[a] == value[b] else value[a] / (value[a] - value[b])
-            return place[a], place[b], place[a] + share * (place[b] - place[a]), True
-    return lost
-
-
 def parabola_vertex(before: float, middle: float, after: float) -> float:
     """Return the extreme of the parabola through three values at equal distances."""
     bend = before - 2 * middle + after
     return middle - (after - before) ** 2 / (8 * bend) if bend else middle
-
-
-def _vertex(place, parameter, fallback):
-    """Place of the extreme of a parabola through the best sample and its neighbours."""
-    good = np.isfinite(parameter)
-    if not good.all():
-        return fallback
-    turned = parameter if np.argmax(parameter) not in (0, len(place) - 1) else -parameter
-    at = int(np.argmax(turned))
-    if at in (0, len(place) - 1):
-        return place[at]
-    y, h = turned[at - 1 : at + 2], place[at + 1] - place[at]
-    bend = y[0] - 2 * y[1] + y[2]
-    return place[at] if bend == 0 else place[at] + h * (y[0] - y[2]) / (2 * bend)
 
 
 class Touch(NamedTuple):
@@ -317,28 +168,3 @@ def _first_touches(
         touches = in_batches(touch, len(change))
     rows = zip(change.tolist(), *map(np.ndarray.tolist, touches), strict=True)
     return [SpecialPoint("grazing", p, a, 0.0, None, i) for i, p, a, good in rows if good]
-
-
-def _cornered(
-    points: list[SpecialPoint], brackets: list[int], values: np.ndarray
-) -> list[SpecialPoint]:
-    """Put folds that are corners at a touch on the touch itself.
-
-    Where contact begins, a branch can turn round at once: then its extreme is the touch, and no
-    smooth fold beyond it was found.
-    """
-    touches = [p for p in points if p.kind == "grazing"]
-    kept = [p for p in points if p.kind != "fold"]
-    smooth = {p.after: p for p in points if p.kind == "fold"}
-    for at in brackets:
-        fold = smooth.get(at)
-        way = 1.0 if values[at] >= values[max(at - 1, 0) : at + 2].max() else -1.0
-        extreme = values[at] if fold is None else fold.parameter
-        for touch in touches:
-            beyond, size = way * (touch.parameter - extreme), abs(touch.parameter)
-            if abs(touch.after - at) <= REACH and -1e-9 * size < beyond < SNAP * size:
-                fold = SpecialPoint("fold", touch.parameter, touch.amplitude_ratio, 0.0, None, at)
-        known = [p.parameter for p in kept if p.kind == "fold"]
-        if fold is not None and fold.parameter not in known:
-            kept.append(fold)
-    return kept

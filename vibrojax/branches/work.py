@@ -10,22 +10,23 @@ import numpy as np
 
 from vibrojax._tools.warn import warn
 from vibrojax.branches.continuation import Ending
+from vibrojax.branches.exact_branches import walk_branches, walk_from
 from vibrojax.branches.finishing import finish
 from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import BranchPoints
-from vibrojax.branches.tracing import Traced, make_exact_ahead
+from vibrojax.branches.tracing import Traced
 from vibrojax.model.states import ABOUT_STATES, as_state
 from vibrojax.steady.batches import take
-from vibrojax.steady.paths import AbstractPath, FrequencyPath
+from vibrojax.steady.paths import AbstractPath
 from vibrojax.steady.periodic_result import ELSEWHERE
 from vibrojax.steady.starting import settled_guess
 
 
 def follow_branches(plan: Plan, paths: AbstractPath) -> list[BranchPoints]:
     """Follow every lane from the low end of the range."""
+    if plan.exact:
+        return walk_branches(plan, paths)
     start = np.full(len(plan.labels), plan.low)
-    if plan.exact and isinstance(paths, FrequencyPath):
-        make_exact_ahead(paths, plan.samples * plan.period, plan.period)
     host = jax.device_get(paths)  # from which any number of lanes is taken without compiling
     traced, notes = plan.trace(paths, start), [""] * len(start)
     lost = np.flatnonzero([not len(t.parameter) for t in traced])
@@ -69,19 +70,28 @@ def follow_from(plan: Plan, paths: AbstractPath, start: Any) -> BranchPoints:
         raise ValueError(
             f"start has {plan.axis} = {value:g}, outside the range {plan.low:g} to {plan.high:g}."
         )
-    guess, found = _settled(plan, paths, np.array([value]), state)
-    if not found[0]:
+    branch = (walk_from if plan.exact else _trace_from)(plan, paths, state, value)
+    if branch is None:
         raise ValueError(
             f"start is no periodic motion of period {plan.period} at {plan.axis} = "
             f"{value:g}: Newton's method did not converge from it."
         )
+    weight = take(paths, 0).at(jnp.asarray(value)).equations.energy_weight
+    return _with_distance(branch, state, np.asarray(weight))
+
+
+def _trace_from(
+    plan: Plan, paths: AbstractPath, state: np.ndarray, value: float
+) -> BranchPoints | None:
+    """Trace a balanced branch both ways from a motion near a state; None where there is none."""
+    guess, found = _settled(plan, paths, np.array([value]), state)
+    if not found[0]:
+        return None
     both, ways = take(paths, np.zeros(2, int)), np.array([1.0, -1.0])
     joined, note = _joined(
         *plan.trace(both, np.full(2, value), np.repeat(guess, 2, axis=0), way=ways)
     )
-    branch = finish(plan, paths, [joined], [note])[0]
-    weight = take(paths, 0).at(jnp.asarray(value)).equations.energy_weight
-    return _with_distance(branch, state, np.asarray(weight))
+    return finish(plan, paths, [joined], [note])[0]
 
 
 def _settled(

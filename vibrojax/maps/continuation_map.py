@@ -6,7 +6,7 @@ import numpy as np
 from vibrojax._tools.described import recipe
 from vibrojax.branches.along import check_continued, frequency_paths
 from vibrojax.branches.plan import Plan
-from vibrojax.branches.points import CURVES, BranchPoints
+from vibrojax.branches.points import CURVES, TURNS, BranchPoints
 from vibrojax.branches.resampling import resample
 from vibrojax.branches.settings import ContinuationSettings
 from vibrojax.branches.work import follow_branches
@@ -117,7 +117,7 @@ def _folds(branch: BranchPoints) -> tuple[np.ndarray, np.ndarray]:
     """Return the states at the folds that `_places` keeps, and whether they touch nothing."""
     states = np.full((PLACES, branch.initial_state.shape[1]), np.nan)
     free = np.zeros(PLACES, bool)
-    folds = [point for point in branch.special_points if point.kind == "fold"]
+    folds = [point for point in branch.special_points if point.kind in TURNS]
     for k, point in enumerate(folds[:PLACES]):
         free[k] = point.contact_force == 0
         if point.initial_state is not None:

@@ -21,6 +21,18 @@ lax = jax.lax
 
 Blocks = Float[Array, "2 blocks lanes"]
 Times = Float[Array, "events lanes"]
+Phase = Int[Array, " lanes"]
+
+
+class Peak(NamedTuple):
+    """How near a stop comes to a change of contact that does not happen."""
+
+    height: Float[Array, " lanes"]
+    """What would have to pass zero, m; negative where contact stays as it is."""
+    row: Float[Array, "states lanes"]
+    """Its derivatives by the blocks at the beginning."""
+    bend: Float[Array, " lanes"]
+    """Second derivative by the drive angle, m."""
 
 
 class Passage(NamedTuple):
@@ -34,13 +46,27 @@ class Passage(NamedTuple):
     """Derivatives of `blocks` by those at the beginning, the change of the times included."""
     delays: Float[Array, "events states lanes"]
     """Derivatives of the times of the changes, rad."""
+    peak: Peak | None
+    """None where no event is one."""
 
 
 class KnownContacts:
-    """Lanes at their drive frequencies that change contacts in a known order."""
+    """Lanes at their drive frequencies that change contacts in a known order.
 
-    def __init__(self, loop: ContactLoop, events: Events):
-        self.loop, self.events = loop, events
+    The event number `peak` of a lane (-1: none) changes no contact: there a stop comes nearest to a
+    change. Blocks in resonance with the drive are only moved as they should where it is said that
+    there may be any.
+    """
+
+    def __init__(
+        self,
+        loop: ContactLoop,
+        events: Events,
+        peak: Int[Array, " lanes"] | None = None,
+        *,
+        resonant: bool = False,
+    ):
+        self.loop, self.events, self.peak, self.resonant = loop, events, peak, resonant
         phases, lanes = loop.phases, loop.lanes
         count, stops, n = loop.count, loop.stops, loop.n
         kicks = np.zeros((count, stops)).tolist()
@@ -61,22 +87,41 @@ class KnownContacts:
 
         def segment(j: Array, carry: tuple[Any, ...]) -> tuple[Any, ...]:
             once = lambda f: computed_once(j, f)  # noqa: E731
-            blocks, phase, begun, late, matrix, delays = carry
+            blocks, phase, begun, late, matrix, delays, peak = carry
             k = jnp.minimum(j, room - 1)
             changes = used[k] & (j < room)
             angle = jnp.where(changes, times[k], until)
             decay, rate = pick(phase, loop.exponent), pick(phase, loop.rate)
             turn = once(lambda: turn_over(decay, rate, (angle - begun) / self.frequency))
-            blocks = once(lambda: turned(turn, blocks))
+            since, started = (angle - begun) / self.frequency, begun / self.frequency
+            moved = once(lambda: turned(turn, blocks))
+            blocks = loop.pushed(moved, phase, started, since) if self.resonant else moved
             fixed = lax.stop_gradient(turn)[:, :, None]
             matrix = once(lambda: turned(fixed, matrix))
             if loop.outlook is None:
-                return blocks, phase, angle, late, matrix, delays
+                return blocks, phase, angle, late, matrix, delays, peak
             stop = jnp.maximum(events.stop[k], 0)
             time = angle / self.frequency
-            value, slope, row = once(lambda: self.read(blocks, phase, stop, time))
-            slope = lax.stop_gradient(jnp.where(slope == 0, 1.0, slope / self.frequency))
-            read = once(lambda: product(row.reshape(2, loop.n, 1, -1), matrix))
+            signal, rows = once(lambda: self.read(blocks, phase, stop, time))
+            rates = lax.stop_gradient(signal) / self.frequency
+            seen = [
+                once(lambda row=row: product(row.reshape(2, loop.n, 1, -1), matrix)) for row in rows
+            ]
+            (value, slope), read = (signal[0], rates[1]), seen[0]
+            flips = changes
+            if peak is not None:
+                # Where a stop comes nearest its rate is zero, not its depth.
+                nearest = changes & (k == self.peak)
+                flips = changes & ~nearest
+                bend = rates[2] / self.frequency
+                here = Peak(signal[0], seen[0], bend)
+                peak = jax.tree.map(lambda a, b: jnp.where(nearest, a, b), here, peak)
+                value = jnp.where(nearest, signal[1] / self.frequency, value)
+                slope = jnp.where(nearest, bend, slope)
+                late_row = jnp.where(nearest, seen[1] / self.frequency, read)
+            else:
+                late_row = read
+            slope = jnp.where(slope == 0, 1.0, slope)
             kick = pick(stop, pick(phase, self.kick))
 
             def changed() -> tuple[Array, Array]:
@@ -85,28 +130,32 @@ class KnownContacts:
                 table = jnp.moveaxis(pick(stop, pick(phase, table)), 1, 0)
                 table = table.reshape(2, loop.n, states, 1, -1)
                 pushed = product(table, matrix[:, :, None]) + kick[:, None] * read
-                after = (after + kick * value).reshape(blocks.shape)
+                after = (after + kick * signal[0]).reshape(blocks.shape)
                 return after, pushed.reshape(matrix.shape)
 
             after, pushed = once(changed)
             keep = lambda new, old: jnp.where(changes, new, old)  # noqa: E731
+            flip = lambda new, old: jnp.where(flips, new, old)  # noqa: E731
             return (
-                keep(after, blocks),
-                keep(phase ^ loop.phase_of(loop.numbers == stop), phase),
+                flip(after, blocks),
+                flip(phase ^ loop.phase_of(loop.numbers == stop), phase),
                 angle,
                 late.at[k].set(keep(-value / slope, late[k])),
-                keep(pushed, matrix),
-                delays.at[k].set(keep(-read / slope, delays[k])),
+                flip(pushed, matrix),
+                delays.at[k].set(keep(-late_row / slope, delays[k])),
+                peak,
             )
 
         lanes = until.shape
         phase = jnp.broadcast_to(events.first_phase, lanes)
         matrix = jnp.eye(states).reshape(2, loop.n, states, 1) + jnp.zeros(lanes)
         delays = jnp.zeros((room, states, *lanes))
-        begin = blocks, phase, events.section, jnp.zeros((room, *lanes)), matrix, delays
+        none = jnp.zeros(lanes)
+        peak = None if self.peak is None else Peak(none, jnp.zeros((states, *lanes)), none)
+        begin = blocks, phase, events.section, jnp.zeros((room, *lanes)), matrix, delays, peak
         most = jnp.max(jnp.sum(used, axis=0), initial=0)
-        end, phase, _, late, matrix, delays = lax.fori_loop(0, most + 1, segment, begin)
-        return Passage(end, phase, late, matrix, delays)
+        end, phase, _, late, matrix, delays, peak = lax.fori_loop(0, most + 1, segment, begin)
+        return Passage(end, phase, late, matrix, delays, peak)
 
     @property
     def frequency(self) -> Float[Array, " lanes"]:
@@ -114,15 +163,20 @@ class KnownContacts:
         return self.loop.force.angular_frequency
 
     def read(
-        self, blocks: Blocks, phase: Int[Array, " lanes"], stop: Array, time: Array
-    ) -> tuple[Array, Array, Array]:
-        """What passes zero where a stop changes its contact, its rate, the row that reads it."""
+        self, blocks: Blocks, phase: Phase, stop: Array, time: Array
+    ) -> tuple[Array, list[Array]]:
+        """What passes zero where a stop changes its contact, its rate and acceleration.
+
+        Also the rows that read it, and its rate if there are peaks.
+        """
         outlook = self.loop.outlook
         assert outlook is not None
         touching = self.loop.touching(phase)
         read = outlook.read(blocks, phase, touching, self.loop.phasor(time))
-        rows, _ = outlook.signed(phase, touching)
-        rows = rows[:, :-1, 0].reshape(-1, *read.shape[1:])
-        both = outlook.breach(touching, jnp.concatenate([read[:2], rows]))
-        chosen = pick(stop, jnp.moveaxis(both, 1, 0))
-        return chosen[0], chosen[1], lax.stop_gradient(chosen[2:])
+        table, _ = outlook.signed(phase, touching)
+        kinds = range(1 if self.peak is None else 2)
+        rows = [table[:, :-1, kind].reshape(-1, *read.shape[1:]) for kind in kinds]
+        every = outlook.breach(touching, jnp.concatenate([read, *rows]))
+        chosen = pick(stop, jnp.moveaxis(every, 1, 0))
+        parts = jnp.split(lax.stop_gradient(chosen[3:]), len(rows))
+        return chosen[:3], parts

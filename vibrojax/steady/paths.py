@@ -56,13 +56,16 @@ class LocalPath(AbstractPath):
         """Return equations, drive and drive frequency."""
         return _moved(self.place, self.slope, parameter - self.parameter)
 
+    def phases_at(self, parameter: Float[Array, "..."]) -> ContactPhases:
+        """Return the phases of contact (linear stops only)."""
+        assert self.phases is not None
+        if self.phases_slope is None:
+            return self.phases
+        return _moved(self.phases, self.phases_slope, parameter - self.parameter)
+
     def tables(self, parameter: Float[Array, ""]) -> Tables:
         """Return the exact propagators (linear stops only)."""
-        assert self.phases is not None
-        phases = self.phases
-        if self.phases_slope is not None:
-            phases = _moved(phases, self.phases_slope, parameter - self.parameter)
-        place = self.at(parameter)
+        place, phases = self.at(parameter), self.phases_at(parameter)
         return tables_of(phases, place.drive, place.angular_frequency, resonant=self.resonant)
 
 
@@ -87,6 +90,18 @@ class FrequencyPath(AbstractPath):
         """Return the exact propagators at another frequency (linear stops only)."""
         assert self.phases is not None
         return tables_of(self.phases, self.drive, parameter * self.unit)
+
+
+class OpenedPath(AbstractPath):
+    """All gaps become wider by the parameter, m; the drive frequency stays."""
+
+    place: Place
+
+    def at(self, parameter: Float[Array, ""]) -> Place:
+        """Return the system with wider gaps."""
+        equations = self.place.equations
+        stops = tuple(replace(stop, gap=stop.gap + parameter) for stop in equations.stops)
+        return replace(self.place, equations=replace(equations, stops=stops))
 
 
 class NumberPath(AbstractPath):

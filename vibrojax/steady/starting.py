@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
@@ -119,6 +119,26 @@ def sampled_depth(
     return jax.vmap(one)(paths, values, state)
 
 
+def settled_states(
+    paths: AbstractPath, values: np.ndarray, period: int, exact: bool
+) -> tuple[Float[np.ndarray, "lanes states"], Bool[np.ndarray, " lanes"]]:
+    """March lanes from rest until they settle: their states, and which are of the period."""
+    lanes = len(values)
+    index = one_or_many(lanes, LANES)
+    paths, values = take(jax.device_get(paths), index), np.asarray(values)[index]
+    place = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take(paths, 0))
+    march, frequency = _prepared(paths, jnp.asarray(values), exact)
+    came = settle(
+        march,
+        np.zeros((lanes, place.equations.state_size)),
+        np.asarray(frequency)[:lanes],
+        tolerance=1e-6 if exact else 1e-5,
+        max_period=max(period, 4),
+        max_periods=MOST_PERIODS,
+    )
+    return came.state, (came.period > 0) & (period % np.maximum(came.period, 1) == 0)
+
+
 def settled_guess(
     paths: AbstractPath,
     values: np.ndarray,
@@ -132,25 +152,12 @@ def settled_guess(
     Without a `state` (2 coordinates) the motions are marched from rest until they settle.
     """
     lanes = len(values)
+    if state is None:
+        states, found = settled_states(paths, values, period, exact)
+    else:
+        states, found = np.broadcast_to(state, (lanes, state.size)), np.ones(lanes, bool)
     index = one_or_many(lanes, LANES)
     paths, values = take(jax.device_get(paths), index), np.asarray(values)[index]
-    if state is None:
-        place = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take(paths, 0))
-        rest = np.zeros((lanes, place.equations.state_size))
-        march, frequency = _prepared(paths, jnp.asarray(values), exact)
-        came = settle(
-            march,
-            rest,
-            np.asarray(frequency)[:lanes],
-            tolerance=1e-6 if exact else 1e-5,
-            max_period=max(period, 4),
-            max_periods=MOST_PERIODS,
-        )
-        found = (came.period > 0) & (period % np.maximum(came.period, 1) == 0)
-        states = came.state[index]
-    else:
-        states = np.broadcast_to(state, (len(values), state.size))
-        found = np.ones(lanes, bool)
-    depth = np.asarray(sampled_depth(paths, values, jnp.asarray(states), samples, period, exact))
-    depth = depth[:lanes]
+    motion = jnp.asarray(states[index])
+    depth = np.asarray(sampled_depth(paths, values, motion, samples, period, exact))[:lanes]
     return depth, found & np.isfinite(depth).all(axis=(1, 2))

@@ -168,6 +168,7 @@ class ContactLoop:
         if self.gauge is not None and measures is not None and passed is not None:
             duration = span + landing.late
             angle = self.force.start_phase + self.force.angular_frequency * arrived
+            angle = angle + 2 * np.pi * flight.finished
             entries = jnp.sum((landing.stop == self.numbers) & ~touching, axis=0, dtype=jnp.int32)
             measures = measures.passed(duration, jnp.any(touching, axis=0), entries, kept)
             measures = measures.noted(landing.stop, angle, kept)

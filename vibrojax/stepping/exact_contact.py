@@ -24,7 +24,7 @@ from vibrojax.stepping.contact_phases import ContactPhases, spread
 from vibrojax.stepping.elementary import apply_matrix
 from vibrojax.stepping.forcing import Forcing, forcing
 from vibrojax.stepping.gauge import Ruler, no_stretches
-from vibrojax.stepping.measures import Measures, no_events, no_measures
+from vibrojax.stepping.measures import MOST_EVENTS, Measures, no_events, no_measures
 from vibrojax.stepping.phase_motion import contact_indicator, stop_push
 from vibrojax.stepping.replay import replayed_while
 from vibrojax.stepping.runs import AbstractRun
@@ -44,16 +44,18 @@ def march(
     periods: int | Int[Array, "*#lanes"] = 1,
     *,
     ruler: Ruler | None = None,
+    room: int = MOST_EVENTS,
 ) -> tuple[Float[Array, "states *#lanes"], Int[Array, "*#lanes"], Measures | None]:
     """March every lane over its number of drive periods, each at its own pace.
 
-    Returns the states (q, q'), the rounds made, and the measures where there is a `ruler` for them.
+    Returns the states (q, q'), the rounds made, and the measures where there is a `ruler` for them,
+    with as many changes of contact noted as there is room for.
     A lane that takes more than `ROUNDS` rounds for a drive period is left where it is,
     with fewer periods behind it, and its state is NaN: the caller flags it.
     """
     loop = ContactLoop(phases, force, ruler)
     target = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), loop.period.shape)
-    flight = run(loop, state, loop.period, target, None)
+    flight = run(loop, state, loop.period, target, None, room)
     end = loop.state_of(flight.blocks, flight.phase, flight.time)
     end = jnp.where(flight.finished >= target, end, jnp.nan)
     return end, flight.rounds, flight.measures
@@ -172,7 +174,9 @@ def _step_jvp(numbers: Any, changes: Any) -> tuple[Float[Array, " states"], Any]
     return jax.jvp(_step_lanes, numbers, changes)
 
 
-def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
+def enter(
+    loop: ContactLoop, state: Float[Array, "states *#lanes"], room: int = MOST_EVENTS
+) -> Flight:
     """Put a state (q, q') at time 0 into block coordinates."""
     force, phases = loop.force, loop.phases
     zero = jnp.zeros_like(force.angular_frequency)
@@ -193,7 +197,7 @@ def enter(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Flight:
     count = jnp.zeros(zero.shape, jnp.int32)
     measures = passed = None
     if loop.gauge is not None:
-        measures = no_measures(zero)._replace(events=no_events(phase))
+        measures = no_measures(zero)._replace(events=no_events(phase, room))
         passed = no_stretches(blocks)
     return Flight(
         blocks, phase, zero, zero + 1, zero, count, count, count, tolerance, measures, passed
@@ -216,9 +220,10 @@ def run(
     duration: Float[Array, "*#lanes"],
     target: Int[Array, "*#lanes"],
     max_attempts: int | None,
+    room: int = MOST_EVENTS,
 ) -> Flight:
     """Fly every lane `target` times over the duration, starting each time at drive time 0."""
-    flight = enter(loop, state)
+    flight = enter(loop, state, room)
     budget = jnp.minimum(target.astype(float) * ROUNDS, 2e9).astype(jnp.int32)
 
     def left(flight: Flight) -> Bool[Array, "*lanes"]:

@@ -44,7 +44,7 @@ class EventLog(NamedTuple):
     ) -> "EventLog":
         """Note an event where a stop changed its contact in a step that was kept."""
         happened = kept & (stop >= 0)
-        place = jnp.arange(MOST_EVENTS).reshape((-1,) + (1,) * stop.ndim)
+        place = jnp.arange(len(self.stop)).reshape((-1,) + (1,) * stop.ndim)
         here = happened & (place == self.number)
         return self._replace(
             stop=jnp.where(here, stop, self.stop),
@@ -53,11 +53,11 @@ class EventLog(NamedTuple):
         )
 
 
-def no_events(first_phase: Int[Array, "*lanes"]) -> EventLog:
-    """Begin a log."""
-    room = (MOST_EVENTS, *first_phase.shape)
-    zero = jnp.zeros(room)
-    return EventLog(first_phase, jnp.full(room, -1, jnp.int32), zero, jnp.zeros_like(first_phase))
+def no_events(first_phase: Int[Array, "*lanes"], room: int) -> EventLog:
+    """Begin a log with room for so many events."""
+    shape = (room, *first_phase.shape)
+    zero = jnp.zeros(shape)
+    return EventLog(first_phase, jnp.full(shape, -1, jnp.int32), zero, jnp.zeros_like(first_phase))
 
 
 class Measures(NamedTuple):

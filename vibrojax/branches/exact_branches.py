@@ -1,0 +1,206 @@
+"""Branches of exact motions: where they begin, their walks, and their special points."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax.branches.beginning import doubled, free_flight, motion_near, opened
+from vibrojax.branches.contacts import TURN
+from vibrojax.branches.continuation import Ending
+from vibrojax.branches.exact_results import columns_of_motions, curve_of, special_results
+from vibrojax.branches.finishing import branch_of, nothing
+from vibrojax.branches.plan import Plan
+from vibrojax.branches.points import BranchPoints
+from vibrojax.branches.refining import special_points_of
+from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
+from vibrojax.branches.walking import Ask, OnCurve, Walk
+from vibrojax.steady.batches import take
+from vibrojax.steady.paths import AbstractPath, OpenedPath, localise
+from vibrojax.steady.starting import settled_states
+
+
+def walk_branches(plan: Plan, paths: AbstractPath) -> list[BranchPoints]:
+    """Walk along the branch of every lane from the low end of the range."""
+    lanes = range(len(plan.labels))
+    rigs = CurveRigs(paths, plan.period)
+    walks = _walks(plan, rigs, plan.low)
+    free = run_together([_job(w, rigs, k, free_flight(w, plan.low)) for k, w in enumerate(walks)])
+    starts: list[OnCurve | None] = [motion if holds else None for motion, holds in free]
+    notes = ["" for _ in lanes]
+    left = [k for k in lanes if starts[k] is None]
+    for k, motion in _by_opening(plan, rigs, walks, free, left).items():
+        starts[k], notes[k] = motion, " It starts from gaps that were opened."
+    left = [k for k in lanes if starts[k] is None]
+    for k, motion in _by_settling(plan, rigs, walks, left).items():
+        starts[k], notes[k] = motion, " It starts from a settled march."
+    jobs = {
+        k: _job(walks[k], rigs, k, walks[k].go(start, 1.0))
+        for k, start in enumerate(starts)
+        if start is not None
+    }
+    endings = dict(zip(jobs, run_together(list(jobs.values())), strict=True))
+    every = [endings.get(k, Ending.stuck) for k in lanes]
+    return _results(plan, rigs, paths, walks, every, notes)
+
+
+def walk_from(
+    plan: Plan, paths: AbstractPath, state: Float[np.ndarray, " states"], value: float
+) -> BranchPoints | None:
+    """Walk both ways from a motion near a state; None where there is none."""
+    rigs = CurveRigs(paths, plan.period)
+    (up,), (down,) = _walks(plan, rigs, value), _walks(plan, rigs, value)
+    (start,) = run_together([_job(up, rigs, 0, motion_near(up, up.unit * state, value))])
+    if start is None:
+        return None
+    rises, falls = run_together(
+        [_job(up, rigs, 0, up.go(start, 1.0)), _job(down, rigs, 0, down.go(start, -1.0))]
+    )
+    if rises is Ending.closed:
+        return _results(plan, rigs, paths, [up], [rises], [""])[0]
+    completed = rises is falls is Ending.completed
+    note = "" if completed else f" Downwards: {falls.sentence}"
+    ending = Ending.completed if completed else rises
+    return _results(plan, rigs, paths, [_joined(down, up)], [ending], [note])[0]
+
+
+def walk_doubled(
+    plan: Plan, paths: AbstractPath, state: Float[np.ndarray, " states"], value: float
+) -> BranchPoints | None:
+    """Walk along the branch of twice the period that leaves at a motion; None for none."""
+    rigs, single = CurveRigs(paths, plan.period), CurveRigs(paths, plan.period // 2)
+    (walk,) = _walks(plan, rigs, value)
+    walk.doubled = True
+    half = replace(walk, whole=walk.whole / 2, points=[], seen=[], touches=[])
+    (near,) = run_together([_job(half, single, 0, motion_near(half, half.unit * state, value))])
+    if near is None:
+        return None
+    (start,) = run_together([_job(walk, rigs, 0, doubled(walk, near))])
+    if start is None:
+        return None
+    (ending,) = run_together([_job(walk, rigs, 0, walk.go(start, None))])
+    return _results(plan, rigs, paths, [walk], [ending], [""])[0]
+
+
+def _job(walk: Walk, rigs: CurveRigs, lane: int, steps: Any) -> Job:
+    return Job(steps, rigs, lane, walk.unit, walk.scale)
+
+
+def _walks(plan: Plan, rigs: CurveRigs, value: float) -> list[Walk]:
+    lanes = np.arange(len(plan.labels))
+    return [
+        Walk(
+            unit=unit,
+            scale=plan.scale,
+            whole=TURN * plan.period,
+            low=plan.low,
+            high=plan.high,
+            longest=plan.longest_step,
+            max_points=plan.max_points,
+        )
+        for unit in rigs.units(lanes, np.full(len(lanes), value))
+    ]
+
+
+def _joined(down: Walk, up: Walk) -> Walk:
+    """One walk from the end of the way down to the end of the way up."""
+    last = len(down.points) - 1
+    ways = [0.0, *(point.way for point in down.points[:0:-1])]
+    back = [
+        replace(point.reversed(), way=way)
+        for point, way in zip(down.points[::-1], ways, strict=True)
+    ]
+    touches = [t._replace(at=last - t.at, entering=not t.entering) for t in down.touches[::-1]]
+    touches += [t._replace(at=last + t.at) for t in up.touches]
+    return replace(
+        up,
+        points=[*back, *up.points[1:]],
+        seen=[*down.seen[::-1], *up.seen[1:]],
+        touches=touches,
+        asked=up.asked + down.asked,
+    )
+
+
+def _by_opening(
+    plan: Plan, rigs: CurveRigs, walks: list[Walk], free: list[Any], left: list[int]
+) -> dict[int, OnCurve]:
+    """Begin where a walk from opened gaps leads to."""
+    left = [k for k in left if free[k][0] is not None]
+    if not left:
+        return {}
+    lanes = np.array(left)
+    local = jax.device_get(localise(rigs.paths, lanes, np.full(len(left), plan.low), True))
+    wider = CurveRigs(OpenedPath(local.place), plan.period)
+    phases, jobs = local.phases, {}
+    assert phases is not None  # of linear stops
+    for i, k in enumerate(left):
+        walk, motion = walks[k], free[k][0]
+        places, w = phases.towards_stop[i], float(np.asarray(local.place.angular_frequency)[i])
+        position, speed = np.split(motion.state / walk.unit, 2)
+        reach = float(np.max(np.hypot(places @ position, places @ speed / w) - phases.gap[i]))
+        along = replace(walk, scale=2.0 * max(reach, 1e-12), points=[], seen=[], touches=[])
+        jobs[k] = _job(along, wider, i, opened(along, motion, reach))
+    ends = dict(zip(jobs, run_together(list(jobs.values())), strict=True))
+
+    def there(k: int) -> Any:
+        end = ends[k]
+        ask = Ask(end.contacts, end.times, end.state, plan.low, by_parameter=1.0, value=plan.low)
+        return (yield from walks[k].solve(ask))
+
+    again = {k: _job(walks[k], rigs, k, there(k)) for k, end in ends.items() if end is not None}
+    found = dict(zip(again, run_together(list(again.values())), strict=True))
+    return {k: motion for k, motion in found.items() if motion is not None}
+
+
+def _by_settling(
+    plan: Plan, rigs: CurveRigs, walks: list[Walk], left: list[int]
+) -> dict[int, OnCurve]:
+    """Begin where a march from rest settles."""
+    if not left:
+        return {}
+    paths = take(rigs.paths, np.array(left))
+    states, settled = settled_states(paths, np.full(len(left), plan.low), plan.period, True)
+    jobs = {
+        k: _job(walks[k], rigs, k, motion_near(walks[k], walks[k].unit * state, plan.low))
+        for k, state, good in zip(left, states, settled, strict=True)
+        if good
+    }
+    found = dict(zip(jobs, run_together(list(jobs.values())), strict=True))
+    return {k: motion for k, motion in found.items() if motion is not None}
+
+
+def _results(
+    plan: Plan,
+    rigs: CurveRigs,
+    paths: AbstractPath,
+    walks: list[Walk],
+    endings: list[Ending],
+    notes: list[str],
+) -> list[BranchPoints]:
+    """Find the special points of walks and make the results."""
+    special = run_together(
+        [_job(walk, rigs, k, special_points_of(walk)) for k, walk in enumerate(walks)]
+    )
+    results = []
+    for k, walk in enumerate(walks):
+        if walk.points:
+            columns = columns_of_motions(paths, k, walk.points, walk.seen, plan.period)
+            columns["arclength"] = np.cumsum([point.way for point in walk.points])
+        else:
+            columns = nothing(len(walk.unit))
+        results.append(
+            branch_of(
+                plan,
+                k,
+                take(paths, np.array([k])),
+                endings[k],
+                notes[k],
+                columns,
+                special_results(paths, k, special[k], plan.period),
+                ticks=walk.asked,
+                curve=curve_of(walk),
+            )
+        )
+    return results

@@ -1,0 +1,139 @@
+"""Branches of exact motions as results: their columns, and values between their points."""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from vibrojax.branches.contacts import TURN
+from vibrojax.branches.continuation import LONGEST_STEP
+from vibrojax.branches.points import ExactCurve, SpecialPoint
+from vibrojax.branches.readings import Columns, references
+from vibrojax.branches.refining import Special, by_duration, on_the_way, root
+from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
+from vibrojax.branches.walking import Look, OnCurve, Seen, Steps, Touch, Walk
+from vibrojax.steady.paths import AbstractPath
+from vibrojax.sweep.swept_lanes import ratios_of
+
+
+def columns_of_motions(
+    paths: AbstractPath, lane: int, motions: Sequence[OnCurve], seen: Sequence[Seen], period: int
+) -> Columns:
+    """Return the columns of a branch at motions that were looked at; displacements as ratios."""
+    values = np.array([m.parameter for m in motions])
+    reference, natural = references(paths, np.full(len(values), lane), values)
+    measures = jax.tree.map(lambda *a: np.stack(a), *(s.measures for s in seen))
+    return {
+        "values": values,
+        "floquet_multipliers": np.linalg.eigvals(np.array([m.matrix for m in motions])) + 0j,
+        "residual": np.array([m.error for m in motions]),
+        "initial_state": np.array([s.initial_state for s in seen]),
+        "exact_points": np.ones(len(values), bool),
+        "natural_frequency": natural,
+    } | ratios_of(measures, period, reference)
+
+
+def special_results(
+    paths: AbstractPath, lane: int, found: list[Special], period: int
+) -> tuple[SpecialPoint, ...]:
+    """Return special points as results."""
+    if not found:
+        return ()
+    motions, seen = [s.motion for s in found], [s.seen for s in found]
+    own = columns_of_motions(paths, lane, motions, seen, period)
+    return tuple(
+        SpecialPoint(
+            kind=special.kind,
+            parameter=float(own["values"][k]),
+            amplitude_ratio=float(own["amplitude_ratio"][k]),
+            contact_force=float(own["contact_force"][k]),
+            initial_state=own["initial_state"][k] if special.motion.contacts.stops else None,
+            after=special.after,
+        )
+        for k, special in enumerate(found)
+    )
+
+
+def curve_of(walk: Walk) -> ExactCurve:
+    """What of a walk is kept with its branch."""
+    return ExactCurve(walk.unit, walk.scale, tuple(walk.points), tuple(walk.touches))
+
+
+def walk_of(curve: ExactCurve, period: int, bounds: tuple[float, float]) -> Walk:
+    """Take a walk up again."""
+    return Walk(
+        unit=curve.unit,
+        scale=curve.scale,
+        whole=TURN * period,
+        low=bounds[0],
+        high=bounds[1],
+        longest=LONGEST_STEP,
+        max_points=len(curve.motions),
+        points=list(curve.motions),
+        touches=list(curve.touches),
+    )
+
+
+def motions_at(
+    path: AbstractPath, walk: Walk, period: int, places: Sequence[tuple[int, float]]
+) -> tuple[list[OnCurve | None], list[Seen | None]]:
+    """Solve for motions at values, each behind a point of the branch; None where there is none."""
+    rigs = CurveRigs(path, period)
+    jobs = [
+        Job(_between(walk, first, value), rigs, 0, walk.unit, walk.scale) for first, value in places
+    ]
+    both = run_together(jobs)
+    return [motion for motion, _ in both], [seen for _, seen in both]
+
+
+def _between(walk: Walk, first: int, value: float) -> Steps:
+    """Solve for the motion at a value between the points `first` and `first` + 1."""
+    a, b = walk.points[first], walk.points[first + 1]
+    touch = next((t for t in walk.touches if (t.at if t.entering else t.at - 1) == first), None)
+    motion = None
+    if touch is None:
+        nearer = a if abs(value - a.parameter) < abs(value - b.parameter) else b
+        motion = yield from walk.solve(walk.pinned(nearer, value))
+        if motion is not None and not _is_within(walk, a, b, motion):
+            motion = None
+    if motion is None:
+        motion = yield from _by_halving(walk, a, b, touch, value)
+    if motion is None:
+        return None, None
+    (seen,) = yield Look([motion])
+    return motion, seen
+
+
+def _is_within(walk: Walk, a: OnCurve, b: OnCurve, motion: OnCurve) -> bool:
+    """Whether a motion lies between two of its family."""
+    if not walk.is_sound(motion):
+        return False
+    near = a if motion.contacts.section == a.contacts.section else b
+    way = walk.along(near, motion.state - near.state, motion.parameter - near.parameter)
+    slack = 1e-6 + 0.05 * b.way
+    return -slack <= (way if near is a else -way) <= b.way + slack
+
+
+def _by_halving(walk: Walk, a: OnCurve, b: OnCurve, touch: Touch | None, value: float) -> Steps:
+    """Close in on a value along the branch, then hold it."""
+    ends = a.parameter - value, b.parameter - value
+    if ends[0] * ends[1] > 0:
+        return None
+
+    def number(motion: OnCurve) -> float:
+        return motion.parameter - value
+
+    if touch is None:
+        found = yield from root(on_the_way(walk, a), number, 1e-9, 0.0, b.way, *ends)
+    else:
+        at, lasting = (a, b) if touch.entering else (b, a)
+        i, j = touch.places
+        whole = float(lasting.times[j] - lasting.times[i])
+        ends = ends if touch.entering else ends[::-1]
+        place = by_duration(walk, at, lasting, touch)
+        found = yield from root(place, number, 1e-9, 0.0, whole, *ends)
+    near, at_touch = found
+    if near is None or at_touch:
+        return None if not at_touch else (a if touch is None or touch.entering else b)
+    held = yield from walk.solve(walk.pinned(near, value))
+    return held if walk.is_sound(held) else near

@@ -1,0 +1,272 @@
+"""The walks of many lanes side by side: what they ask for is computed together."""
+
+from collections.abc import Generator
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from vibrojax.branches.contacts import TURN, Contacts
+from vibrojax.branches.walking import Ask, Look, OnCurve, Seen
+from vibrojax.steady.contact_times import Events
+from vibrojax.steady.lane_table import LaneTable, table_of
+from vibrojax.steady.orbit_curve import ROOM, Condition, Try, read_on_curve, solve_on_curve
+from vibrojax.steady.paths import AbstractPath, FrequencyPath, OpenedPath, localise
+
+WIDTHS = (1, 32)
+"""Motions solved for in one call."""
+LOOKED_AT = 16
+"""Motions marched in one call."""
+
+
+class CurveRigs:
+    """Rigs of some lanes along the number that is followed."""
+
+    def __init__(self, paths: AbstractPath, period: int):
+        self.paths, self.period = jax.device_get(paths), period
+        self.moves = not isinstance(paths, FrequencyPath | OpenedPath)
+        """Whether a rig that is known to first order has to be looked at again elsewhere."""
+        self.table: LaneTable | None = None
+
+    def at(self, lanes: np.ndarray, parameter: np.ndarray) -> LaneTable:
+        """Rigs of lanes near some values, one row each."""
+        if not self.moves:
+            if self.table is None:
+                count = _leading(self.paths)
+                self.table = self._near(np.arange(count), np.ones(count))
+            return self.table.pick(lanes)
+        return self._near(lanes, parameter)
+
+    def _near(self, lanes: np.ndarray, parameter: np.ndarray) -> LaneTable:
+        parts = []
+        for first in range(0, len(lanes), LOOKED_AT):
+            rows = np.minimum(np.arange(first, first + LOOKED_AT), len(lanes) - 1)
+            parts.append(self._local(lanes[rows], parameter[rows]))
+        numbers = np.concatenate([part.numbers for part in parts])[: len(lanes)]
+        return LaneTable(numbers, parts[0].like, parts[0].kinds)
+
+    def _local(self, lanes: np.ndarray, parameter: np.ndarray) -> LaneTable:
+        local = jax.device_get(localise(self.paths, lanes, np.asarray(parameter, float), True))
+        last = jax.tree.map(lambda a: np.moveaxis(np.asarray(a), 0, -1), local)
+        return table_of(last, xp=np)
+
+    def units(self, lanes: np.ndarray, parameter: np.ndarray) -> np.ndarray:
+        """Weights of the states of lanes, one row each."""
+        local = self.at(lanes, parameter).columns()
+        return np.asarray(local.phases.weight)
+
+
+def _leading(tree: Any) -> int:
+    return next(np.shape(a)[0] for a in jax.tree.leaves(tree) if np.ndim(a))
+
+
+class Job(NamedTuple):
+    """The walk of a lane, as far as it has come."""
+
+    steps: Generator[Any, Any, Any]
+    rigs: CurveRigs
+    lane: int
+    unit: np.ndarray
+    """Weights of states in the energy."""
+    scale: float
+    """Change of the parameter that counts as much as the state changing by its size."""
+
+
+def run_together(jobs: list[Job]) -> list[Any]:
+    """Run generators to their ends, and return what they return."""
+    results: list[Any] = [None] * len(jobs)
+    asked = {k: _next(job, None, results, k) for k, job in enumerate(jobs)}
+    while True:
+        asked = {k: request for k, request in asked.items() if request is not None}
+        if not asked:
+            return results
+        answers = _answers(jobs, asked)
+        asked = {k: _next(jobs[k], answers[k], results, k) for k in asked}
+
+
+def _next(job: Job, answer: Any, results: list[Any], k: int) -> Any:
+    try:
+        return job.steps.send(answer)
+    except StopIteration as end:
+        results[k] = end.value
+        return None
+
+
+def _answers(jobs: list[Job], asked: dict[int, Any]) -> dict[int, Any]:
+    answers: dict[int, Any] = {}
+    groups: dict[tuple[int, bool], list[int]] = {}
+    for k, request in asked.items():
+        groups.setdefault((id(jobs[k].rigs), isinstance(request, Ask)), []).append(k)
+    for (_, solves), members in groups.items():
+        rigs, lanes = jobs[members[0]].rigs, np.array([jobs[k].lane for k in members])
+        if solves:
+            scales = np.array([[*jobs[k].unit, jobs[k].scale] for k in members])
+            found = _solved(rigs, lanes, scales, [asked[k] for k in members])
+            answers |= dict(zip(members, found, strict=True))
+        else:
+            looks: list[Look] = [asked[k] for k in members]
+            count = [len(look.motions) for look in looks]
+            every = [m for look in looks for m in look.motions]
+            sections = [
+                s
+                for look in looks
+                for s in (look.sections or [m.contacts.section for m in look.motions])
+            ]
+            whose = np.repeat(lanes, count)
+            scales = np.repeat([[*jobs[k].unit, jobs[k].scale] for k in members], count, axis=0)
+            seen = _seen(rigs, whose, scales, every, sections)
+            ends = np.cumsum([0, *count])
+            answers |= {k: seen[ends[i] : ends[i + 1]] for i, k in enumerate(members)}
+    return answers
+
+
+def _padded(values: Any, fill: float) -> np.ndarray:
+    values = np.asarray(values, float)
+    return np.concatenate([values, np.full(ROOM - len(values), fill)])
+
+
+def _tries(rigs: CurveRigs, scales: np.ndarray, asks: list[Ask]) -> LaneTable:
+    whole = TURN * rigs.period
+
+    def events(of: Contacts) -> tuple[np.ndarray, int, float]:
+        return _padded(of.stops, -1), of.first_phase, of.section
+
+    stop, first, section = (
+        np.array(a) for a in zip(*(events(a.contacts) for a in asks), strict=True)
+    )
+    states = [np.broadcast_to(a.by_state, a.state.shape) for a in asks]
+    times = [_padded(np.broadcast_to(a.by_times, a.times.shape), 0.0) for a in asks]
+
+    def column(name: str) -> np.ndarray:
+        return np.array([getattr(a, name) for a in asks], float)
+
+    ask = Try(
+        events=Events(stop.T.astype(np.int32), first.astype(np.int32), section.astype(float)),
+        state=np.array([a.state for a in asks]).T,
+        times=np.array([_padded(a.times, a.contacts.section + whole) for a in asks]).T,
+        parameter=column("parameter"),
+        unit=scales[:, :-1].T,
+        scale=scales[:, -1],
+        peak=column("peak").astype(np.int32),
+        condition=Condition(
+            state=np.array(states).T,
+            times=np.array(times).T,
+            parameter=column("by_parameter"),
+            height=column("by_height"),
+            value=column("value"),
+        ),
+    )
+    return table_of(ask, xp=np)
+
+
+def _in_parts(rows: int, widths: tuple[int, ...]):
+    """Index of rows by parts of one of these widths, filled up with the last."""
+    width = next((w for w in widths if w >= rows), widths[-1])
+    for first in range(0, rows, width):
+        yield np.minimum(np.arange(first, first + width), rows - 1), min(width, rows - first)
+
+
+def _solved(
+    rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
+) -> list[OnCurve]:
+    """Motions that were asked for; their error says whether they are any."""
+    fits = [len(a.times) <= ROOM for a in asks]
+    kept = [
+        a if good else asks[fits.index(True)] if any(fits) else None
+        for a, good in zip(asks, fits, strict=True)
+    ]
+    if not any(fits):
+        return [_nothing(a) for a in asks]
+    found: list[OnCurve] = []
+    for rows, count in _in_parts(len(kept), WIDTHS):
+        own = [kept[i] for i in rows]
+        part = _solve(rigs, lanes[rows], scales[rows], own)
+        if rigs.moves:
+            # Once more, the rig taken from where the motions are.
+            again = [
+                a._replace(state=m.state, times=m.times, parameter=m.parameter)
+                if np.isfinite(m.error)
+                else a
+                for a, m in zip(own, part, strict=True)
+            ]
+            part = _solve(rigs, lanes[rows], scales[rows], again)
+        found += part[:count]
+    return [m if good else _nothing(a) for m, a, good in zip(found, asks, fits, strict=True)]
+
+
+def _nothing(ask: Ask) -> OnCurve:
+    n = len(ask.state)
+    return OnCurve(
+        ask.contacts, ask.times, ask.state, ask.parameter, ask.state, ask.times, 0.0, np.eye(n)
+    )
+
+
+def _solve(
+    rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
+) -> list[OnCurve]:
+    own = rigs.at(lanes, np.array([a.parameter for a in asks]))
+    solved = solve_on_curve(own, _tries(rigs, scales, asks), rigs.period).columns()
+    found = []
+    for i, ask in enumerate(asks):
+        n = len(ask.times)
+        length = np.hypot(
+            np.linalg.norm(solved.state_along[i]) / max(np.linalg.norm(solved.state[i]), 1e-300),
+            solved.parameter_along[i] / scales[i, -1],
+        )
+        length = length if np.isfinite(length) and length > 0 else 1.0
+        found.append(
+            OnCurve(
+                contacts=ask.contacts,
+                times=solved.times[i, :n].copy(),
+                state=solved.state[i].copy(),
+                parameter=float(solved.parameter[i]),
+                state_along=solved.state_along[i] / length,
+                times_along=solved.times_along[i, :n] / length,
+                parameter_along=float(solved.parameter_along[i] / length),
+                matrix=solved.matrix[i].copy(),
+                error=float(solved.error[i]),
+                rounds=int(solved.rounds[i]),
+                height_along=float(solved.height_along[i] / length),
+                bend=float(solved.bend[i]),
+            )
+        )
+    return found
+
+
+def _seen(
+    rigs: CurveRigs,
+    lanes: np.ndarray,
+    scales: np.ndarray,
+    motions: list[OnCurve],
+    sections: list[float],
+) -> list[Seen]:
+    """What marches of motions over their period show."""
+    found: list[Seen] = []
+    for rows, count in _in_parts(len(motions), (LOOKED_AT,)):
+        own = [motions[i] for i in rows]
+        asks = [Ask(m.contacts, m.times, m.state, m.parameter) for m in own]
+        table = rigs.at(lanes[rows], np.array([m.parameter for m in own]))
+        tries = _tries(rigs, scales[rows], asks)
+        at = np.array([sections[i] for i in rows])
+        read = read_on_curve(table, tries, at, rigs.period).columns()
+        log = read.measures.events
+        for i in range(count):
+            number = int(log.number[i])
+            kept = min(number, ROOM)
+            met = Contacts(
+                tuple(int(s) for s in log.stop[i, :kept]),
+                int(log.first_phase[i]),
+                own[i].contacts.section,
+            )
+            measures = jax.tree.map(lambda a, i=i: np.array(a[i]), read.measures)
+            found.append(
+                Seen(
+                    contacts=met,
+                    times=np.array(log.angle[i, :kept]),
+                    fits=number <= ROOM,
+                    initial_state=np.array(read.initial_state[i]),
+                    at_section=np.array(read.at_section[i]),
+                    measures=measures,
+                )
+            )
+    return found

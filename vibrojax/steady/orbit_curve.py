@@ -1,0 +1,324 @@
+"""Exact periodic motions along a curve: Newton's method under one condition more.
+
+The unknowns are the state at the section, the times of the changes of contact and the number that
+is followed. The condition says which motion of the curve is meant: the one at a value, so far along
+the curve, with a contact of so long, or that which just touches a stop.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from vibrojax._tools.compiled import compiled
+from vibrojax.steady.contact_times import Events
+from vibrojax.steady.known_contacts import KnownContacts, Passage
+from vibrojax.steady.lane_table import LaneTable, table_of
+from vibrojax.steady.paths import LocalPath
+from vibrojax.stepping import exact_contact
+from vibrojax.stepping.contact_loop import ContactLoop
+from vibrojax.stepping.elementary import pick
+from vibrojax.stepping.forcing import forcing
+from vibrojax.stepping.gauge import Ruler
+from vibrojax.stepping.measures import Measures
+
+lax = jax.lax
+
+ROOM = 128
+"""Changes of contact of a motion: room for 64 contacts."""
+ROUNDS = 12
+"""Of Newton's method at the most."""
+ROUND_OFF = 1e-13
+FARTHEST = 0.5
+"""Longest step of Newton's method, over the size of the motion."""
+MEASURED = 1e-10
+"""Relative error of the integrals that are read."""
+TURN = 2 * np.pi
+
+Lane = Float[Array, "*lanes"]
+States = Float[Array, "states *lanes"]
+Times = Float[Array, "events *lanes"]
+
+
+class Condition(NamedTuple):
+    """What a motion of a curve has to fulfil: a sum over all unknowns has a value."""
+
+    state: States
+    times: Times
+    parameter: Lane
+    height: Lane
+    """Factor of how near the stop of the peak comes to a change of contact, m."""
+    value: Lane
+
+
+class Try(NamedTuple):
+    """A guess of a motion, and what it is to become."""
+
+    events: Events
+    state: States
+    """At the section, times `unit`."""
+    times: Times
+    """Drive phases of the events, rad."""
+    parameter: Lane
+    unit: States
+    """What makes the state's coordinates comparable."""
+    scale: Lane
+    """Change of the parameter that counts as much as the state changing by its size."""
+    peak: Int[Array, "*lanes"]
+    """Number of the event at which a stop comes nearest to a change of contact; -1 for none."""
+    condition: Condition
+
+
+class Motion(NamedTuple):
+    """What Newton's method comes to."""
+
+    state: States
+    times: Times
+    parameter: Lane
+    error: Lane
+    """Last correction, relative."""
+    rounds: Int[Array, "*lanes"]
+    state_along: States
+    """Direction of the curve: change of the state, of the times, of the parameter."""
+    times_along: Times
+    parameter_along: Lane
+    matrix: Float[Array, "states states *lanes"]
+    """Jacobian of the period map at the section."""
+    height: Lane
+    """What would have to pass zero at the peak, m."""
+    height_along: Lane
+    bend: Lane
+    """Its second derivative by the drive angle, m."""
+
+
+class Read(NamedTuple):
+    """A motion from drive phase 0."""
+
+    initial_state: States
+    """(q, q') at drive phase 0."""
+    end: States
+    """Where the march over its period comes to from the section, times `unit`."""
+    at_section: States
+    """State at another section, times `unit`."""
+    rounds: Int[Array, "*lanes"]
+    measures: Measures
+
+
+class _Rigs:
+    """Rigs with the events of their motions, at values of the number followed."""
+
+    def __init__(self, path: LocalPath, tries: Try, period: int):
+        self.path, self.tries, self.until = path, tries, tries.events.section + TURN * period
+
+    def loop(self, parameter: Lane) -> ContactLoop:
+        return ContactLoop(*self.tables(parameter))
+
+    def tables(self, parameter: Lane, start_phase: Lane | float = 0.0) -> tuple[Any, Any]:
+        place, phases = self.path.at(parameter), self.path.phases_at(parameter)
+        w = place.angular_frequency
+        amplitude = place.drive.complex_amplitude(w, jnp.zeros_like(w))
+        return phases, forcing(phases, amplitude, w, jnp.zeros_like(w) + start_phase)
+
+    def contacts(self, loop: ContactLoop) -> KnownContacts:
+        tries = self.tries
+        return KnownContacts(loop, tries.events, tries.peak, resonant=self.path.resonant)
+
+    def begin(self, at: KnownContacts, state: States) -> Array:
+        events, time = self.tries.events, self.tries.events.section / at.frequency
+        return at.loop.blocks_of(state / self.tries.unit, events.first_phase, time)
+
+    def state(self, at: KnownContacts, blocks: Array, phase: Array, angle: Array) -> Array:
+        return self.tries.unit * at.loop.state_of(blocks, phase, angle / at.frequency)
+
+    def passed(self, parameter: Lane, state: States, times: Times):
+        """Where the motion comes to over its period, and how that depends on all unknowns."""
+
+        first, unit = self.tries.events.first_phase, self.tries.unit
+
+        def image(parameter: Lane) -> tuple[Any, tuple[Passage, Array, Array]]:
+            at = self.contacts(self.loop(parameter))
+            gone = at.go_through(self.begin(at, state), times, self.until)
+            end = self.state(at, gone.blocks, gone.phase, self.until)
+            assert gone.peak is not None
+            out, into = (
+                pick(first, a) for a in (at.loop.phases.to_state, at.loop.phases.from_state)
+            )
+            return (end, gone.late, gone.peak.height), (gone, out, into)
+
+        (end, late, height), push, (gone, out, into) = jax.jvp(
+            image, (parameter,), (jnp.ones_like(parameter),), has_aux=True
+        )
+        out, into = unit[:, None] * out, into / unit
+        # By the state, where the passage has derivatives by blocks.
+        across = lambda rows: _times(rows.reshape(rows.shape[0], *into.shape[:1], -1), into)  # noqa: E731
+        matrix = _times(out, across(gone.matrix.reshape(into.shape)))
+        assert gone.peak is not None
+        return _Passed(
+            end,
+            late,
+            height,
+            push,
+            matrix,
+            across(gone.delays),
+            across(gone.peak.row[None])[0],
+            gone.peak.bend,
+        )
+
+
+class _Passed(NamedTuple):
+    end: States
+    late: Times
+    height: Lane
+    by_parameter: tuple[States, Times, Lane]
+    matrix: Array
+    delays: Array
+    height_row: Array
+    bend: Lane
+
+
+def _times(
+    left: Float[Array, "rows inner lanes"], right: Float[Array, "inner columns lanes"]
+) -> Float[Array, "rows columns lanes"]:
+    return jnp.einsum("ijl,jkl->ikl", left, right)
+
+
+class _Search(NamedTuple):
+    state: States
+    times: Times
+    parameter: Lane
+    error: Lane
+    rounds: Int[Array, " lanes"]
+    going: Bool[Array, " lanes"]
+
+
+def _newton(rigs: _Rigs, search: _Search) -> tuple[_Search, Motion]:
+    """One round of Newton's method; and what is known where it began."""
+    tries = rigs.tries
+    now = rigs.passed(search.parameter, search.state, search.times)
+    used = tries.events.stop >= 0
+    late = jnp.where(used, now.late, 0.0)
+    push, late_push, height_push = now.by_parameter
+    late_push = jnp.where(used, late_push, 0.0)
+    ask, n = tries.condition, len(search.state)
+    # The times follow from the state and the parameter: they are put into the condition.
+    row = ask.state + jnp.sum(ask.times[:, None] * now.delays, axis=0)
+    row = row + ask.height * now.height_row
+    last = ask.parameter + jnp.sum(ask.times * late_push, axis=0) + ask.height * height_push
+    missing = ask.value - jnp.sum(ask.state * search.state, axis=0)
+    missing = missing - jnp.sum(ask.times * (search.times + late), axis=0)
+    missing = missing - ask.parameter * search.parameter - ask.height * now.height
+    size = jnp.sqrt(jnp.sum(search.state**2, axis=0))
+    size = jnp.where(size > 0, size, 1.0)
+    whole = jnp.concatenate(
+        [
+            jnp.concatenate([now.matrix - jnp.eye(n)[..., None], push[:, None]], axis=1),
+            jnp.concatenate([row, last[None]])[None],
+        ]
+    )
+    # Rows and columns of like size.
+    columns = jnp.concatenate([jnp.broadcast_to(size, (n, *size.shape)), tries.scale[None]])
+    whole = whole * columns
+    length = jnp.max(jnp.abs(whole), axis=1, keepdims=True)
+    length = jnp.where(length > 0, length, 1.0)
+    unit = jnp.zeros((n + 1, *size.shape)).at[-1].set(1.0)
+    right = jnp.stack([jnp.concatenate([search.state - now.end, missing[None]]), unit], axis=1)
+    solved = jnp.linalg.solve(
+        jnp.moveaxis(whole / length, -1, 0), jnp.moveaxis(right / length, -1, 0)
+    )
+    change, along = jnp.moveaxis(solved, (0, 1, 2), (2, 1, 0))
+    along = along / jnp.sqrt(jnp.sum(along**2, axis=0))
+
+    def parts(step: Array) -> tuple[Array, Array, Array]:
+        state, parameter = step[:-1] * size, step[-1] * tries.scale
+        times = jnp.sum(now.delays * state, axis=1) + late_push * parameter
+        return state, jnp.where(used, times, 0.0), parameter
+
+    far = jnp.sqrt(jnp.sum(change**2, axis=0))
+    limit = jnp.where(jnp.any(used, axis=0), FARTHEST, jnp.inf)
+    moved, delays, shift = parts(change * jnp.minimum(1.0, limit / jnp.where(far > 0, far, 1.0)))
+    delays = late + delays
+    error = jnp.maximum(far, jnp.max(jnp.abs(delays), axis=0, initial=0.0))
+    shrinks = (search.rounds < 4) | (error < search.error / 2)
+    good = jnp.isfinite(error) & search.going
+    takes = good & (shrinks | (error < 1e-8))
+    state_along, times_along, parameter_along = parts(along)
+    motion = Motion(
+        state=jnp.where(takes, search.state + moved, search.state),
+        times=jnp.where(takes & used, search.times + delays, search.times),
+        parameter=jnp.where(takes, search.parameter + shift, search.parameter),
+        error=jnp.where(jnp.isfinite(error), error, jnp.inf),
+        rounds=search.rounds + search.going,
+        state_along=state_along,
+        times_along=times_along,
+        parameter_along=parameter_along,
+        matrix=now.matrix,
+        height=now.height,
+        height_along=jnp.sum(now.height_row * state_along, axis=0) + height_push * parameter_along,
+        bend=now.bend,
+    )
+    going = takes & shrinks & (error > ROUND_OFF) & (search.rounds + 1 < ROUNDS)
+    return _Search(
+        motion.state, motion.times, motion.parameter, motion.error, motion.rounds, going
+    ), motion
+
+
+@compiled
+def solve_on_curve(rigs: LaneTable, tries: LaneTable, period: int) -> LaneTable:
+    """Solve for motions of curves, each under a condition of its own; `Motion` of all lanes.
+
+    `rigs` is of `LocalPath`, `tries` of `Try`; motions return after `period` drive periods.
+    """
+    ask: Try = tries.lanes_last()
+    own = _Rigs(rigs.lanes_last(), ask, period)
+    zero = jnp.zeros_like(ask.parameter)
+    first = _Search(
+        ask.state,
+        ask.times,
+        ask.parameter,
+        zero + jnp.inf,
+        jnp.zeros(zero.shape, jnp.int32),
+        zero == 0,
+    )
+    shapes = jax.eval_shape(lambda search: _newton(own, search)[1], first)
+    nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+
+    def better(carry: tuple[_Search, Motion]) -> tuple[_Search, Motion]:
+        search, before = carry
+        after, motion = _newton(own, search)
+        keep = lambda new, old: jnp.where(search.going, new, old)  # noqa: E731
+        return after, jax.tree.map(keep, motion, before)
+
+    _, motion = lax.while_loop(lambda carry: jnp.any(carry[0].going), better, (first, nothing))
+    return table_of(motion)
+
+
+@compiled
+def read_on_curve(
+    rigs: LaneTable, tries: LaneTable, section: Float[Array, " lanes"], period: int
+) -> LaneTable:
+    """March motions of curves over their period from the section; `Read` of all lanes.
+
+    Also their states at another `section`, a drive phase (rad) after their own.
+    """
+    ask: Try = tries.lanes_last()
+    own = _Rigs(rigs.lanes_last(), ask, period)
+    at = own.contacts(own.loop(ask.parameter))
+    begin = own.begin(at, ask.state)
+
+    def state_at(angle: Array) -> Array:
+        gone = at.go_through(begin, ask.times, angle)
+        return own.state(at, gone.blocks, gone.phase, angle)
+
+    origin = jnp.where(ask.events.section > 0, TURN * period, 0.0)
+    initial = state_at(origin) / ask.unit
+    far = jnp.full_like(ask.parameter, jnp.inf)
+    ruler = Ruler(jnp.full_like(far, MEASURED), far)
+    phases, force = own.tables(ask.parameter, ask.events.section)
+    state = ask.state / ask.unit
+    end, rounds, measures = exact_contact.march(
+        phases, force, state, period, ruler=ruler, room=ROOM
+    )
+    assert measures is not None
+    return table_of(Read(initial, ask.unit * end, state_at(section), rounds, measures))
