@@ -233,6 +233,20 @@ class Compiled(Generic[Given, Result]):
         assert program.call is not None  # just compiled
         return program.returned[0].filled(program.call(*arrays))
 
+    def bound(self, *args: Any) -> Callable[..., Any]:
+        """Return the program for such arguments, as a function of the arrays in them.
+
+        For what is called many times: nothing is looked at again but the arrays, as they come.
+        """
+        arrays, parts = _sorted_out((args, {}))
+        if not is_alone(arrays):
+            return lambda *arrays: self.plain(*parts.filled(arrays)[0])
+        self(*args)
+        program = self.programs[_signature(arrays, parts)]
+        call, returned = program.call, program.returned[0]
+        assert call is not None  # just called
+        return lambda *arrays: returned.filled(call(*arrays))
+
     def kinds(self, *args: Any, **kwargs: Any) -> Any:
         """Return what a call would, with `jax.ShapeDtypeStruct` in the place of arrays.
 

@@ -35,7 +35,7 @@ def motion_near(walk: Walk, state: Float[np.ndarray, " states"], value: float) -
         if not seen.fits:
             return None
         contacts, times = seen.contacts, seen.times
-        met = replace(guess, contacts=contacts, times=times)
+        met = replace(guess, contacts=contacts, times=times, times_along=0 * times)
         section = best_section(contacts, times, walk.whole)
         section += walk.whole if section < contacts.section else 0.0
         (seen,) = yield Look([met], [section])

@@ -39,6 +39,7 @@ class Pair(NamedTuple):
 
 
 Times = Float[np.ndarray, " events"]
+MetTimes = Float[np.ndarray, " met_events"]
 
 
 def is_ordered(contacts: Contacts, times: Times, whole: float) -> bool:
@@ -100,13 +101,13 @@ def pairs(contacts: Contacts, times: Times) -> list[Pair]:
     ]
 
 
-def without(contacts: Contacts, times: Times, gone: list[Pair]) -> tuple[Contacts, Times]:
+def without(contacts: Contacts, times: Times, gone: list[Pair]) -> tuple[Contacts, MetTimes]:
     """Take pairs out of a sequence."""
     left = [i for i in range(len(times)) if not any(i in pair.places for pair in gone)]
     return contacts._replace(stops=tuple(contacts.stops[i] for i in left)), times[left]
 
 
-def with_pairs(contacts: Contacts, times: Times, new: list[Pair]) -> tuple[Contacts, Times]:
+def with_pairs(contacts: Contacts, times: Times, new: list[Pair]) -> tuple[Contacts, MetTimes]:
     """Put pairs into a sequence."""
     stops = [*contacts.stops, *(pair.stop for pair in new for _ in range(2))]
     every = np.concatenate([times, *(pair.times for pair in new)])
@@ -115,7 +116,7 @@ def with_pairs(contacts: Contacts, times: Times, new: list[Pair]) -> tuple[Conta
 
 def with_peak(
     contacts: Contacts, times: Times, stop: int, angle: float
-) -> tuple[Contacts, Times, int]:
+) -> tuple[Contacts, MetTimes, int]:
     """Put an event into a sequence that changes nothing; also its place."""
     place = int(np.searchsorted(times, angle))
     stops = (*contacts.stops[:place], stop, *contacts.stops[place:])
@@ -123,7 +124,7 @@ def with_peak(
 
 
 def new_pairs(
-    contacts: Contacts, times: Times, met: Contacts, met_times: Times
+    contacts: Contacts, times: Times, met: Contacts, met_times: MetTimes
 ) -> list[Pair] | None:
     """Return the pairs that a march met beyond a sequence; None where that is not all.
 
@@ -151,7 +152,7 @@ def new_pairs(
     return found
 
 
-def same(contacts: Contacts, times: Times, met: Contacts, met_times: Times) -> bool:
+def same(contacts: Contacts, times: Times, met: Contacts, met_times: MetTimes) -> bool:
     """Whether a march met just the contacts of a sequence, and when it should."""
     if contacts.stops != met.stops or contacts.first_phase != met.first_phase:
         return False

@@ -15,7 +15,7 @@ from vibrojax.branches.finishing import branch_of, nothing
 from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import BranchPoints
 from vibrojax.branches.refining import special_points_of
-from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
+from vibrojax.branches.side_by_side import CurveRigs, Job, compile_ahead, run_together
 from vibrojax.branches.walking import Ask, OnCurve, Walk
 from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath, OpenedPath, localise
@@ -26,6 +26,7 @@ def walk_branches(plan: Plan, paths: AbstractPath) -> list[BranchPoints]:
     """Walk along the branch of every lane from the low end of the range."""
     lanes = range(len(plan.labels))
     rigs = CurveRigs(paths, plan.period)
+    compile_ahead(rigs, len(lanes))
     walks = _walks(plan, rigs, plan.low)
     free = run_together([_job(w, rigs, k, free_flight(w, plan.low)) for k, w in enumerate(walks)])
     starts: list[OnCurve | None] = [motion if holds else None for motion, holds in free]

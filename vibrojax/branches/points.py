@@ -250,8 +250,11 @@ class BranchPoints(eqx.Module):
                 f"{self.values[peak]:.6f}",
                 f"  stable                {self.stable.sum()} of {count} points",
             ]
-        lines += [f"  {point!r}" for point in self.special_points[:8]]
-        if len(self.special_points) > 8:
-            lines.append(f"  and {len(self.special_points) - 8} special points more")
+        shown = [point for point in self.special_points if point.kind != "contact_change"]
+        lines += [f"  {point!r}" for point in shown[:8]]
+        if len(shown) > 8:
+            lines.append(f"  and {len(shown) - 8} special points more")
+        if changes := len(self.special_points) - len(shown):
+            lines.append(f"  contacts change         {changes} times more")
         lines.append(f"  {self.sentence}")
         return "\n".join(lines)

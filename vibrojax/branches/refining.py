@@ -36,12 +36,16 @@ Tests = dict[str, float]
 
 def tests_of(motion: OnCurve) -> Tests:
     """Numbers that pass zero at special points, by kind."""
-    multipliers = np.linalg.eigvals(motion.matrix)
+    multipliers = np.linalg.eigvals(motion.matrix)[None] + 0j
     return {
         "fold": motion.parameter_along,
-        "period_doubling": float(doubling_test(multipliers)),
-        "neimark_sacker": float(torus_test(multipliers)),
+        "period_doubling": float(doubling_test(multipliers)[0]),
+        "neimark_sacker": float(torus_test(multipliers)[0]),
     }
+
+
+def _on_circle(motion: OnCurve) -> bool:
+    return bool(on_circle(np.linalg.eigvals(motion.matrix)[None] + 0j, NEAR_CIRCLE)[0])
 
 
 def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
@@ -83,7 +87,7 @@ def _between(
         if kind != "fold":
             return None
         kind, motion = "touch_fold", walk.points[k if touch is None or touch.entering else k + 1]
-    if kind == "neimark_sacker" and not on_circle(np.linalg.eigvals(motion.matrix), NEAR_CIRCLE):
+    if kind == "neimark_sacker" and not _on_circle(motion):
         return None
     (seen,) = yield Look([motion])
     return Special(kind, motion, seen, k)

@@ -1,6 +1,7 @@
 """The walks of many lanes side by side: what they ask for is computed together."""
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -27,6 +28,14 @@ class CurveRigs:
         self.moves = not isinstance(paths, FrequencyPath | OpenedPath)
         """Whether a rig that is known to first order has to be looked at again elsewhere."""
         self.table: LaneTable | None = None
+        self.programs: dict[tuple[Any, int], Callable[..., Any]] = {}
+
+    def run(self, program: Any, own: LaneTable, tries: LaneTable, *more: np.ndarray) -> Any:
+        """Run a program on rigs and tries; by name and width it is looked up once."""
+        key = program.__name__, len(own.numbers)
+        if key not in self.programs:
+            self.programs[key] = program.bound(own, tries, *more, self.period)
+        return self.programs[key](own.numbers, tries.numbers, *more).columns()
 
     def at(self, lanes: np.ndarray, parameter: np.ndarray) -> LaneTable:
         """Rigs of lanes near some values, one row each."""
@@ -70,6 +79,19 @@ class Job(NamedTuple):
     """Weights of states in the energy."""
     scale: float
     """Change of the parameter that counts as much as the state changing by its size."""
+
+
+def compile_ahead(rigs: CurveRigs, lanes: int) -> None:
+    """Compile in the background what walks of so many lanes will run."""
+    first = np.zeros(1, int)
+    own = rigs.at(first, np.ones(1))
+    n = own.columns().phases.weight.shape[1]
+    nothing = Ask(Contacts((), 0, 0.0), np.zeros(0), np.zeros(n), 1.0)
+    tries = _tries(rigs, np.ones((1, n + 1)), [nothing])
+    for width, program in ((LOOKED_AT, read_on_curve), (_width(lanes), solve_on_curve)):
+        rows = np.zeros(width, int)
+        more = (np.zeros(width),) if program is read_on_curve else ()
+        program.ahead(own.pick(rows), tries.pick(rows), *more, rigs.period)
 
 
 def run_together(jobs: list[Job]) -> list[Any]:
@@ -120,48 +142,41 @@ def _answers(jobs: list[Job], asked: dict[int, Any]) -> dict[int, Any]:
     return answers
 
 
-def _padded(values: Any, fill: float) -> np.ndarray:
-    values = np.asarray(values, float)
-    return np.concatenate([values, np.full(ROOM - len(values), fill)])
+@lru_cache
+def _blank(states: int) -> LaneTable:
+    """A table of `Try` with one row of zeros."""
+    none, zero = np.zeros((ROOM, 1)), np.zeros(1)
+    state, whole = np.zeros((states, 1)), np.zeros(1, np.int32)
+    events = Events(none.astype(np.int32), whole, zero)
+    condition = Condition(state, none, zero, zero, zero)
+    return table_of(Try(events, state, none, zero, state, zero, whole, condition), xp=np)
 
 
 def _tries(rigs: CurveRigs, scales: np.ndarray, asks: list[Ask]) -> LaneTable:
     whole = TURN * rigs.period
+    table = _blank(scales.shape[1] - 1).pick(np.zeros(len(asks), int))
+    tries: Try = table.columns()
+    tries.events.stop[:], tries.unit[:], tries.scale[:] = -1, scales[:, :-1], scales[:, -1]
+    for i, ask in enumerate(asks):
+        n, (stops, first, section) = len(ask.times), ask.contacts
+        tries.events.stop[i, :n] = stops
+        tries.events.first_phase[i], tries.events.section[i] = first, section
+        tries.times[i], tries.times[i, :n] = section + whole, ask.times
+        tries.state[i], tries.parameter[i], tries.peak[i] = ask.state, ask.parameter, ask.peak
+        condition = tries.condition
+        condition.state[i], condition.times[i, :n] = ask.by_state, ask.by_times
+        condition.parameter[i], condition.height[i] = ask.by_parameter, ask.by_height
+        condition.value[i] = ask.value
+    return table
 
-    def events(of: Contacts) -> tuple[np.ndarray, int, float]:
-        return _padded(of.stops, -1), of.first_phase, of.section
 
-    stop, first, section = (
-        np.array(a) for a in zip(*(events(a.contacts) for a in asks), strict=True)
-    )
-    states = [np.broadcast_to(a.by_state, a.state.shape) for a in asks]
-    times = [_padded(np.broadcast_to(a.by_times, a.times.shape), 0.0) for a in asks]
-
-    def column(name: str) -> np.ndarray:
-        return np.array([getattr(a, name) for a in asks], float)
-
-    ask = Try(
-        events=Events(stop.T.astype(np.int32), first.astype(np.int32), section.astype(float)),
-        state=np.array([a.state for a in asks]).T,
-        times=np.array([_padded(a.times, a.contacts.section + whole) for a in asks]).T,
-        parameter=column("parameter"),
-        unit=scales[:, :-1].T,
-        scale=scales[:, -1],
-        peak=column("peak").astype(np.int32),
-        condition=Condition(
-            state=np.array(states).T,
-            times=np.array(times).T,
-            parameter=column("by_parameter"),
-            height=column("by_height"),
-            value=column("value"),
-        ),
-    )
-    return table_of(ask, xp=np)
+def _width(rows: int, widths: tuple[int, ...] = WIDTHS) -> int:
+    return next((w for w in widths if w >= rows), widths[-1])
 
 
 def _in_parts(rows: int, widths: tuple[int, ...]):
     """Index of rows by parts of one of these widths, filled up with the last."""
-    width = next((w for w in widths if w >= rows), widths[-1])
+    width = _width(rows, widths)
     for first in range(0, rows, width):
         yield np.minimum(np.arange(first, first + width), rows - 1), min(width, rows - first)
 
@@ -205,7 +220,7 @@ def _solve(
     rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
 ) -> list[OnCurve]:
     own = rigs.at(lanes, np.array([a.parameter for a in asks]))
-    solved = solve_on_curve(own, _tries(rigs, scales, asks), rigs.period).columns()
+    solved = rigs.run(solve_on_curve, own, _tries(rigs, scales, asks))
     found = []
     for i, ask in enumerate(asks):
         n = len(ask.times)
@@ -248,7 +263,7 @@ def _seen(
         table = rigs.at(lanes[rows], np.array([m.parameter for m in own]))
         tries = _tries(rigs, scales[rows], asks)
         at = np.array([sections[i] for i in rows])
-        read = read_on_curve(table, tries, at, rigs.period).columns()
+        read = rigs.run(read_on_curve, table, tries, at)
         log = read.measures.events
         for i in range(count):
             number = int(log.number[i])

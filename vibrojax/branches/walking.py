@@ -40,8 +40,10 @@ CLOSES = 0.3
 """Share of its duration that is left to a pair at the next step, where it may vanish."""
 COLLAPSED = 0.1
 """Share of its duration below which a pair is taken to have vanished."""
-MOST_AHEAD = 32
+MOST_AHEAD = 16
 """Points that are solved for before they are looked at."""
+GROWTH = (3, 2.5), (4, 1.8), (5, 1.4), (7, 1.0), (np.inf, 0.7)
+"""By what steps grow after so many rounds of Newton's method."""
 LONGEST_TOUCH = 0.3
 """Duration, rad, of the first contact that is tried behind a touch."""
 TOGETHER = 1e-7
@@ -215,7 +217,7 @@ class Walk:
         here = yield from self.cut_well(start.reversed() if turns else start)
         (seen,) = yield Look([here])
         self.add(here, seen)
-        begun, step, room, ahead = start.parameter, FIRST, 2, []
+        begun, step, room, ahead = start.parameter, FIRST, 4, []
         idle = 0
         while True:
             last = ahead[-1] if ahead else self.points[-1]
@@ -237,10 +239,10 @@ class Walk:
             if count < len(ahead):
                 last, bad, seen = self.points[-1], ahead[count], self.refused
                 apart = max(bad.way, 2 * SHORTEST)
-                ahead, room = [], 2
+                ahead, room = [], 4
                 came = yield from self.touch_between(last, bad, seen, apart)
                 idle += 1
-                step = min(apart, FIRST) / 4 if came else apart / 4
+                step = FIRST / 2 if came else apart / 4
                 if step < SHORTEST or idle > 40:
                     return Ending.stuck
                 continue
@@ -252,7 +254,7 @@ class Walk:
                 continue
             came = yield from self.vanish(self.points[-1], step)
             idle += 1
-            step = min(step, FIRST) / (4 if came else 2.5)
+            step = FIRST / 2 if came else step / 2.5
             if step < SHORTEST or idle > 40:
                 return Ending.stuck
 
@@ -322,7 +324,7 @@ class Walk:
         long = 2.5 * step + 1e-9
         if cosine < STRAIGHT or gone > long or self.turns_twice(last, found, step):
             return None, step, None
-        growth = 1.6 if found.rounds <= 5 else 1.2 if found.rounds <= 7 else 0.8
+        growth = next(g for most, g in GROWTH if found.rounds <= most)
         growth = growth if cosine > 0.97 else min(growth, 1.0)
         found = yield from self.cut_well(found)
         return found, min(step * growth, self.longest), goal

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax.steady.contact_times import Events
@@ -30,7 +30,7 @@ ROOM = 128
 """Changes of contact of a motion: room for 64 contacts."""
 ROUNDS = 12
 """Of Newton's method at the most."""
-ROUND_OFF = 1e-13
+ROUND_OFF = 1e-11
 FARTHEST = 0.5
 """Longest step of Newton's method, over the size of the motion."""
 MEASURED = 1e-10
@@ -115,7 +115,7 @@ class _Rigs:
     def loop(self, parameter: Lane) -> ContactLoop:
         return ContactLoop(*self.tables(parameter))
 
-    def tables(self, parameter: Lane, start_phase: Lane | float = 0.0) -> tuple[Any, Any]:
+    def tables(self, parameter: Lane, start_phase: ArrayLike = 0.0) -> tuple[Any, Any]:
         place, phases = self.path.at(parameter), self.path.phases_at(parameter)
         w = place.angular_frequency
         amplitude = place.drive.complex_amplitude(w, jnp.zeros_like(w))

@@ -52,7 +52,7 @@ class LocalPath(AbstractPath):
     resonant: bool = eqx.field(static=True)
     """Whether the drive could turn a block at its own frequency: there is one without damping."""
 
-    def at(self, parameter: Float[Array, ""]) -> Place:
+    def at(self, parameter: Float[Array, "..."]) -> Place:
         """Return equations, drive and drive frequency."""
         return _moved(self.place, self.slope, parameter - self.parameter)
 
