@@ -157,6 +157,36 @@ class KnownContacts:
         end, phase, _, late, matrix, delays, peak = lax.fori_loop(0, most + 1, segment, begin)
         return Passage(end, phase, late, matrix, delays, peak)
 
+    def go_to(
+        self, blocks: Blocks, times: Times, until: Float[Array, " lanes"]
+    ) -> tuple[Blocks, Phase]:
+        """Go through the changes before a drive angle as they are given, none a peak."""
+        loop, events, room = self.loop, self.events, len(times)
+        used = (events.stop >= 0) & (times < until)
+
+        def segment(j: Array, carry: tuple[Any, ...]) -> tuple[Any, ...]:
+            blocks, phase, begun = carry
+            k = jnp.minimum(j, room - 1)
+            changes = used[k] & (j < room)
+            angle = jnp.where(changes, times[k], until)
+            decay, rate = pick(phase, loop.exponent), pick(phase, loop.rate)
+            since, started = (angle - begun) / self.frequency, begun / self.frequency
+            moved = turned(turn_over(decay, rate, since), blocks)
+            blocks = loop.pushed(moved, phase, started, since) if self.resonant else moved
+            if loop.outlook is None:
+                return blocks, phase, angle
+            stop = jnp.maximum(events.stop[k], 0)
+            after = loop.change_phase(blocks, phase, stop, angle / self.frequency)
+            flipped = phase ^ loop.phase_of(loop.numbers == stop)
+            keep = lambda new, old: jnp.where(changes, new, old)  # noqa: E731
+            return keep(after, blocks), keep(flipped, phase), angle
+
+        phase = jnp.broadcast_to(events.first_phase, until.shape)
+        most = jnp.max(jnp.sum(used, axis=0), initial=0)
+        begin = blocks, phase, events.section
+        blocks, phase, _ = lax.fori_loop(0, most + 1, segment, begin)
+        return blocks, phase
+
     @property
     def frequency(self) -> Float[Array, " lanes"]:
         """Drive frequency, rad/s."""

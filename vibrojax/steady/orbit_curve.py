@@ -281,8 +281,18 @@ def solve_on_curve(rigs: LaneTable, tries: LaneTable, period: int) -> LaneTable:
         jnp.zeros(zero.shape, jnp.int32),
         zero == 0,
     )
-    shapes = jax.eval_shape(lambda search: _newton(own, search)[1], first)
-    nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+    n, none = len(ask.state), 0 * zero
+    matrix = jnp.zeros((n, n, *zero.shape))
+    nothing = Motion(
+        *first[:5],
+        0 * ask.state,
+        0 * ask.times,
+        none,
+        matrix,
+        height=none,
+        height_along=none,
+        bend=none,
+    )
 
     def better(carry: tuple[_Search, Motion]) -> tuple[_Search, Motion]:
         search, before = carry
@@ -308,8 +318,7 @@ def read_on_curve(
     begin = own.begin(at, ask.state)
 
     def state_at(angle: Array) -> Array:
-        gone = at.go_through(begin, ask.times, angle)
-        return own.state(at, gone.blocks, gone.phase, angle)
+        return own.state(at, *at.go_to(begin, ask.times, angle), angle)
 
     origin = jnp.where(ask.events.section > 0, TURN * period, 0.0)
     initial = state_at(origin) / ask.unit
