@@ -9,7 +9,7 @@ from vibrojax.branches.contacts import TURN
 from vibrojax.branches.continuation import LONGEST_STEP
 from vibrojax.branches.points import ExactCurve, SpecialPoint
 from vibrojax.branches.readings import Columns, references
-from vibrojax.branches.refining import Special, by_duration, on_the_way, root
+from vibrojax.branches.refining import Special, Stretch
 from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
 from vibrojax.branches.walking import Look, OnCurve, Seen, Steps, Touch, Walk
 from vibrojax.steady.paths import AbstractPath
@@ -49,6 +49,7 @@ def special_results(
             contact_force=float(own["contact_force"][k]),
             initial_state=own["initial_state"][k] if special.motion.contacts.stops else None,
             after=special.after,
+            refined=special.refined,
         )
         for k, special in enumerate(found)
     )
@@ -97,7 +98,7 @@ def _between(walk: Walk, first: int, value: float) -> Steps:
         if motion is not None and not _is_within(walk, a, b, motion):
             motion = None
     if motion is None:
-        motion = yield from _by_halving(walk, a, b, touch, value)
+        motion = yield from _by_halving(walk, first, touch, value)
     if motion is None:
         return None, None
     (seen,) = yield Look([motion])
@@ -114,26 +115,18 @@ def _is_within(walk: Walk, a: OnCurve, b: OnCurve, motion: OnCurve) -> bool:
     return -slack <= (way if near is a else -way) <= b.way + slack
 
 
-def _by_halving(walk: Walk, a: OnCurve, b: OnCurve, touch: Touch | None, value: float) -> Steps:
+def _by_halving(walk: Walk, first: int, touch: Touch | None, value: float) -> Steps:
     """Close in on a value along the branch, then hold it."""
-    ends = a.parameter - value, b.parameter - value
+    ends = [walk.points[k].parameter - value for k in (first, first + 1)]
     if ends[0] * ends[1] > 0:
         return None
-
-    def number(motion: OnCurve) -> float:
-        return motion.parameter - value
-
-    if touch is None:
-        found = yield from root(on_the_way(walk, a), number, 1e-9, 0.0, b.way, *ends)
-    else:
-        at, lasting = (a, b) if touch.entering else (b, a)
-        i, j = touch.places
-        whole = float(lasting.times[j] - lasting.times[i])
-        ends = ends if touch.entering else ends[::-1]
-        place = by_duration(walk, at, lasting, touch)
-        found = yield from root(place, number, 1e-9, 0.0, whole, *ends)
-    near, at_touch = found
-    if near is None or at_touch:
-        return None if not at_touch else (a if touch is None or touch.entering else b)
-    held = yield from walk.solve(walk.pinned(near, value))
-    return held if walk.is_sound(held) else near
+    stretch = Stretch(walk, first, touch)
+    found = yield from stretch.root(lambda motion: motion.parameter - value, 1e-9, *ends)
+    if found.at_touch and touch is not None:
+        return walk.points[touch.at]
+    if found.motion is None:
+        return None
+    held = yield from walk.solve(walk.pinned(found.motion, value))
+    if held is not None and walk.is_sound(held):
+        return held
+    return found.motion if found.solved else None

@@ -57,6 +57,8 @@ class SpecialPoint(eqx.Module):
     """(q, q') at drive phase 0; None where the motion is contact-free."""
     after: int
     """Index of the branch point before it."""
+    refined: bool
+    """Whether it was solved for; else it is the nearest motion that was found."""
 
     def __float__(self) -> float:
         return float(self.parameter)
@@ -64,7 +66,7 @@ class SpecialPoint(eqx.Module):
     def __repr__(self) -> str:
         return (
             f"{self.kind.replace('_', ' ')} at {self.parameter:.8g} "
-            f"(amplitude ratio {self.amplitude_ratio:.6g})"
+            f"(amplitude ratio {self.amplitude_ratio:.6g}{'' if self.refined else ', not refined'})"
         )
 
 
@@ -219,8 +221,10 @@ class BranchPoints(eqx.Module):
             own = self._points(dim)
             where = {"units": axis_units, "long_name": f"{label} of {self.axis}"}
             after = {"units": "1", "long_name": "Index of the point before it"}
+            refined = {"units": "1", "long_name": "Whether it was solved for (1) or not (0)"}
             data[kind] = (dim, getattr(self, kind), where)
             data[f"{dim}_after"] = (dim, np.array([p.after for p in own], int), after)
+            data[f"{dim}_refined"] = (dim, np.array([p.refined for p in own], np.int8), refined)
             for name in ("amplitude_ratio", "contact_force"):
                 values = np.array([getattr(p, name) for p in own], float)
                 data[f"{dim}_{name}"] = described(name, (dim,), values)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vibrojax.branches.special_points import doubling_test, on_circle, torus_test
-from vibrojax.branches.walking import Ask, Look, OnCurve, Seen, Touch, Walk
+from vibrojax.branches.walking import Look, OnCurve, Seen, Steps, Touch, Walk
 
 ROUNDS = 60
 SOLVED = {"fold": 1e-8, "period_doubling": 1e-11, "neimark_sacker": 1e-11}
@@ -19,6 +19,8 @@ SOLVED = {"fold": 1e-8, "period_doubling": 1e-11, "neimark_sacker": 1e-11}
 AT_TOUCH = 1e-7
 """Duration of a contact, over that where a fold was looked for from, that is as good as a touch."""
 NEAR_CIRCLE = 1e-3
+HALVINGS = 12
+"""Of the way to motions that are known, where there is none at a place."""
 
 
 class Special(NamedTuple):
@@ -29,6 +31,7 @@ class Special(NamedTuple):
     seen: Seen
     after: int
     """Index of the point of the walk before it."""
+    refined: bool
 
 
 Tests = dict[str, float]
@@ -62,7 +65,7 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
     for touch in walk.touches:
         point, seen = walk.points[touch.at], walk.seen[touch.at]
         kind = "contact_change" if touch.stop in point.contacts.stops else "grazing"
-        found.append(Special(kind, point, seen, max(touch.at - 1, 0)))
+        found.append(Special(kind, point, seen, max(touch.at - 1, 0), True))
     return sorted(found, key=lambda special: special.after)
 
 
@@ -70,112 +73,113 @@ def _between(
     walk: Walk, k: int, kind: str, first: float, last: float, touch: Touch | None
 ) -> Generator[Any, Any, Special | None]:
     """Refine the special point between the points k and k + 1."""
-    solved, number = SOLVED[kind], lambda motion: tests_of(motion)[kind]
-    if touch is None:
-        a, b = walk.points[k], walk.points[k + 1]
-        found = yield from root(on_the_way(walk, a), number, solved, 0.0, b.way, first, last)
-    else:
-        # Counted by how long the new contact lasts, from the touch.
-        at, other, ends = (k, k + 1, (first, last)) if touch.entering else (k + 1, k, (last, first))
-        lasting = walk.points[other]
-        i, j = touch.places
-        whole = float(lasting.times[j] - lasting.times[i])
-        place = by_duration(walk, walk.points[at], lasting, touch)
-        found = yield from root(place, number, solved, 0.0, whole, *ends)
-    motion, at_touch = found
-    if at_touch:
+    stretch = Stretch(walk, k, touch)
+    found = yield from stretch.root(
+        lambda motion: tests_of(motion)[kind], SOLVED[kind], first, last
+    )
+    motion, refined = found.motion, found.solved
+    if found.at_touch and touch is not None:
         if kind != "fold":
-            return None
-        kind, motion = "touch_fold", walk.points[k if touch is None or touch.entering else k + 1]
+            return None  # multipliers jump there
+        kind, motion, refined = "touch_fold", walk.points[touch.at], True
+    motion = motion or walk.points[k]
     if kind == "neimark_sacker" and not _on_circle(motion):
         return None
     (seen,) = yield Look([motion])
-    return Special(kind, motion, seen, k)
+    return Special(kind, motion, seen, k, refined)
 
 
-def on_the_way(walk: Walk, a: OnCurve) -> Callable[[float], Generator[Any, Any, Any]]:
-    """Solve for motions of one family by their way from another."""
+class Stretch:
+    """Motions between two points of a walk by their place: where a number of them passes zero.
 
-    def at(way: float) -> Generator[Any, Any, OnCurve | None]:
-        found = yield from walk.solve(walk.ahead(a, way))
-        return walk.oriented(found, a) if found is not None and walk.is_sound(found) else None
-
-    return at
-
-
-def by_duration(
-    walk: Walk, touch: OnCurve, lasting: OnCurve, of: Touch
-) -> Callable[[float], Generator[Any, Any, Any]]:
-    """Solve for motions between a touch and one with the new contact by how long it lasts."""
-    i, j = of.places
-    whole = float(lasting.times[j] - lasting.times[i])
-    by_times = np.zeros(len(lasting.times))
-    by_times[[i, j]] = -1.0, 1.0
-    same_cut = touch.contacts.section == lasting.contacts.section
-    middle = float(lasting.times[i] + lasting.times[j]) / 2
-
-    def at(duration: float) -> Generator[Any, Any, OnCurve | None]:
-        share = (duration / whole) ** 2
-        state = lasting.state
-        parameter = touch.parameter + share * (lasting.parameter - touch.parameter)
-        times = lasting.times.copy()
-        if same_cut:
-            state = touch.state + share * (lasting.state - touch.state)
-            others = np.delete(np.arange(len(times)), [i, j])
-            times[others] = touch.times + share * (times[others] - touch.times)
-        times[[i, j]] = middle - duration / 2, middle + duration / 2
-        found = yield from walk.solve(
-            Ask(lasting.contacts, times, state, parameter, by_times=by_times, value=duration)
-        )
-        if found is None or not walk.is_sound(found):
-            return None
-        grows = found.times_along @ by_times > 0
-        return found if grows == of.entering else found.reversed()
-
-    return at
-
-
-def root(
-    at: Callable[[float], Generator[Any, Any, Any]],
-    number: Callable[[OnCurve], float],
-    solved: float,
-    low: float,
-    high: float,
-    below: float,
-    above: float,
-) -> Generator[Any, Any, tuple[OnCurve | None, bool]]:
-    """Find where a number of motions passes zero; also whether that is at the touch itself.
-
-    `at` solves for a motion by its place between `low` and `high`; there the number is `below` and
-    `above`. It is found to `solved` of the larger of these.
+    The place is the way from the first point, or how long a new contact lasts; what has been solved
+    for is where the next search starts from.
     """
-    scale, whole, best = max(abs(below), abs(above)), high, None
-    side = 0
-    for _ in range(ROUNDS):
-        share = below / (below - above)
-        middle = low + min(max(share, 0.02), 0.98) * (high - low)
-        motion = yield from at(middle)
-        if motion is None:
-            # Where there is no motion, as next to a touch, look nearer to where there is one.
-            middle = (low + high) / 2
-            motion = yield from at(middle)
-        if motion is None:
-            if high < AT_TOUCH * whole or high - low < 1e-6 * whole:
-                break
-            low += (high - low) / 2
-            continue
-        best = motion
-        value = number(motion)
-        if abs(value) <= solved * scale or high - low <= 1e-13 * whole:
-            return motion, False
-        if (value > 0) == (below > 0):
-            low, below = middle, value
-            above = above / 2 if side == 1 else above
-            side = 1
+
+    def __init__(self, walk: Walk, k: int, touch: Touch | None):
+        self.walk, self.touch = walk, touch
+        self.first, self.last = walk.points[k], walk.points[k + 1]
+        if touch is None:
+            self.ends = 0.0, self.last.way
+            self.known = [(0.0, self.first)]
+            if self.last.contacts.section == self.first.contacts.section:
+                self.known.append((self.last.way, self.last))
+            return
+        lasting = self.last if touch.entering else self.first
+        self.by_times = np.zeros(len(lasting.times))
+        self.by_times[list(touch.places)] = -1.0, 1.0
+        whole = float(self.by_times @ lasting.times)
+        self.ends = (0.0, whole) if touch.entering else (whole, 0.0)
+        self.known = [(whole, lasting)]
+
+    def at(self, place: float) -> Steps:
+        """Solve for the motion at a place; None where there is none."""
+        near_place, near = min(self.known, key=lambda each: abs(each[0] - place))
+        if self.touch is None:
+            guess = self.walk.ahead(near, place - near_place)
+            ask = self.walk.ahead(self.first, place)
+            ask = ask._replace(times=guess.times, state=guess.state, parameter=guess.parameter)
         else:
-            high, above = middle, value
-            below = below / 2 if side == -1 else below
-            side = -1
-    if best is None or high < 10 * AT_TOUCH * whole:
-        return None, True
-    return best, False
+            rate = float(self.by_times @ near.times_along)
+            guess = self.walk.ahead(near, (place - near_place) / rate if rate else 0.0)
+            ask = guess._replace(
+                by_state=0.0, by_times=self.by_times, by_parameter=0.0, value=place
+            )
+        found = yield from self.walk.solve(ask)
+        if found is None or not self.walk.is_sound(found) or self.walk.collapses(near, found):
+            return None
+        if self.touch is None:
+            found = self.walk.oriented(found, self.first)
+        elif (found.times_along @ self.by_times > 0) != self.touch.entering:
+            found = found.reversed()
+        self.known.append((place, found))
+        return found
+
+    def nearer(self, place: float) -> Steps:
+        """Solve for the motion at a place, or for one nearer to those that are known."""
+        near, _ = min(self.known, key=lambda each: abs(each[0] - place))
+        for _ in range(HALVINGS):
+            found = yield from self.at(place)
+            if found is not None:
+                return place, found
+            place = (place + near) / 2
+        return place, None
+
+    def root(
+        self, number: Callable[[OnCurve], float], solved: float, first: float, last: float
+    ) -> Generator[Any, Any, "Root"]:
+        """Find where a number passes zero, which is `first` and `last` at the ends.
+
+        It is found to `solved` of the larger of these.
+        """
+        (low, high), below, above = self.ends, first, last
+        scale, whole, best = max(abs(below), abs(above)), abs(high - low), None
+        side = 0
+        for _ in range(ROUNDS):
+            share = min(max(below / (below - above), 0.02), 0.98)
+            middle, motion = yield from self.nearer(low + share * (high - low))
+            if motion is None:
+                break
+            best, value = motion, number(motion)
+            if abs(value) <= solved * scale or abs(high - low) <= 1e-13 * whole:
+                return Root(motion, at_touch=False, solved=True)
+            # The end that stays twice counts half: else it would stay for long.
+            if (value > 0) == (below > 0):
+                low, below, above = middle, value, above / 2 if side == 1 else above
+                side = 1
+            else:
+                high, above, below = middle, value, below / 2 if side == -1 else below
+                side = -1
+        left = min(low, high) if self.touch is None else max(low, high)
+        at_touch = self.touch is not None and left < AT_TOUCH * whole
+        return Root(best, at_touch, solved=False)
+
+
+class Root(NamedTuple):
+    """Where a number of motions passes zero."""
+
+    motion: OnCurve | None
+    """The nearest that was found."""
+    at_touch: bool
+    """Whether it is the touch at an end of the stretch."""
+    solved: bool

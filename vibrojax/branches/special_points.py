@@ -44,6 +44,7 @@ def _special_point(kind: str, parameter: float, columns: Columns, row: int, afte
         float(columns["contact_force"][row]),
         columns["initial_state"][row],
         after,
+        refined=False,
     )
 
 
@@ -167,4 +168,4 @@ def _first_touches(
         near = touches.parameter
         touches = in_batches(touch, len(change))
     rows = zip(change.tolist(), *map(np.ndarray.tolist, touches), strict=True)
-    return [SpecialPoint("grazing", p, a, 0.0, None, i) for i, p, a, good in rows if good]
+    return [SpecialPoint("grazing", p, a, 0.0, None, i, True) for i, p, a, good in rows if good]
