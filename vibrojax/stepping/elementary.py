@@ -5,9 +5,13 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 T = TypeVar("T")
+
+FEW = 16
+"""Lanes for which one call per product of large matrices costs little."""
 
 
 def computed_once(tick: Int[Array, ""], compute: Callable[[], T]) -> T:
@@ -41,6 +45,9 @@ def apply_matrix(
     """Matrix times vector, the matrix shared by all lanes or one for each."""
     if matrix.ndim == 2:
         return jnp.tensordot(matrix, vector, axes=1)
+    if len(vector) > 16 and np.prod(matrix.shape[2:]) <= FEW:
+        # So few lanes that calls count less than what takes so long to compile.
+        return jnp.einsum("ij...,j...->i...", matrix, vector)
     # One fused loop over lanes, where a batch of products is one call for each of them.
     total = matrix[:, 0] * vector[0]
     for j in range(1, len(vector)):
