@@ -240,11 +240,15 @@ class Compiled(Generic[Given, Result]):
         """
         arrays, parts = _sorted_out((args, {}))
         if not is_alone(arrays):
-            return lambda *arrays: self.plain(*parts.filled(arrays)[0])
-        self(*args)
-        program = self.programs[_signature(arrays, parts)]
+            plain: Any = self.plain
+            return lambda *arrays: plain(*parts.filled(arrays)[0])
+        signature = _signature(arrays, parts)
+        with telling(self.function.__qualname__):
+            program = self._program(signature, parts, arrays)
+            if program.call is None:
+                program.compile(arrays)
         call, returned = program.call, program.returned[0]
-        assert call is not None  # just called
+        assert call is not None  # just compiled
         return lambda *arrays: returned.filled(call(*arrays))
 
     def kinds(self, *args: Any, **kwargs: Any) -> Any:

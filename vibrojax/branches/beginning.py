@@ -7,7 +7,9 @@ from jaxtyping import Float
 
 from vibrojax.branches.contacts import Contacts, at_section, best_section
 from vibrojax.branches.continuation import Ending
-from vibrojax.branches.walking import FIRST, Ask, Look, OnCurve, Steps, Walk, fits
+from vibrojax.branches.curve_search import CurveSearch
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Steps, fits
+from vibrojax.branches.walking import FIRST, Walk
 
 FREE = Contacts((), 0, 0.0)
 WIDER = 1.05
@@ -15,18 +17,18 @@ WIDER = 1.05
 TRIES = 6
 
 
-def free_flight(walk: Walk, value: float) -> Steps:
+def free_flight(search: CurveSearch, value: float) -> Steps:
     """Solve for the motion without contact, and whether it has none."""
-    rest = np.zeros(len(walk.unit))
+    rest = np.zeros(len(search.unit))
     guess = Ask(FREE, np.zeros(0), rest, value, by_parameter=1.0, value=value)
-    found = yield from walk.solve(guess)
+    found = yield from search.solve(guess)
     if found is None:
         return None, False
     (seen,) = yield Look([found])
     return found, not seen.contacts.stops and seen.contacts.first_phase == 0
 
 
-def motion_near(walk: Walk, state: Float[np.ndarray, " states"], value: float) -> Steps:
+def motion_near(search: CurveSearch, state: Float[np.ndarray, " states"], value: float) -> Steps:
     """Solve for the motion near a state (in units of energy) at drive phase 0; None for none."""
     nothing, n = np.zeros(0), len(state)
     guess = OnCurve(FREE, nothing, state, value, 0 * state, nothing, 0.0, np.eye(n))
@@ -36,15 +38,15 @@ def motion_near(walk: Walk, state: Float[np.ndarray, " states"], value: float) -
             return None
         contacts, times = seen.contacts, seen.times
         met = replace(guess, contacts=contacts, times=times, times_along=0 * times)
-        section = best_section(contacts, times, walk.whole)
-        section += walk.whole if section < contacts.section else 0.0
+        section = best_section(contacts, times, search.whole)
+        section += search.whole if section < contacts.section else 0.0
         (seen,) = yield Look([met], [section])
-        contacts, times, _ = at_section(contacts, times, section, walk.whole)
+        contacts, times, _ = at_section(contacts, times, section, search.whole)
         guess = replace(met, contacts=contacts, times=times, state=seen.at_section)
         found = yield Ask(contacts, times, guess.state, value, by_parameter=1.0, value=value)
         if not np.isfinite(found.error):
             return None
-        if walk.is_sound(found) and found.error <= 1e-9:
+        if search.is_sound(found) and found.error <= 1e-9:
             (seen,) = yield Look([found])
             if fits(found, seen):
                 return found
@@ -59,7 +61,7 @@ def opened(walk: Walk, free: OnCurve, reach: float) -> Steps:
     """
     widest = WIDER * reach + 1e-12
     walk.low, walk.high = 0.0, 1.2 * widest
-    start = yield from walk.solve(
+    start = yield from walk.search.solve(
         Ask(FREE, np.zeros(0), free.state, widest, by_parameter=1.0, value=widest)
     )
     if start is None:
@@ -69,17 +71,17 @@ def opened(walk: Walk, free: OnCurve, reach: float) -> Steps:
     return last if ending is Ending.completed and last.parameter == 0.0 else None
 
 
-def doubled(walk: Walk, single: OnCurve) -> Steps:
+def doubled(search: CurveSearch, single: OnCurve) -> Steps:
     """Solve for a motion of twice the period of one that has a multiplier of -1, next to it."""
     multipliers, vectors = np.linalg.eig(single.matrix)
     odd = np.real(vectors[:, np.argmin(np.abs(multipliers + 1))])
     odd = odd / np.linalg.norm(odd)
     contacts = single.contacts._replace(stops=single.contacts.stops * 2)
-    times = np.concatenate([single.times, single.times + walk.whole / 2])
+    times = np.concatenate([single.times, single.times + search.whole / 2])
     step = FIRST * single.size
     for _ in range(TRIES):
         # It leaves along the mode that changes sign from period to period.
-        found = yield from walk.solve(
+        found = yield from search.solve(
             Ask(
                 contacts,
                 times,
@@ -89,7 +91,7 @@ def doubled(walk: Walk, single: OnCurve) -> Steps:
                 value=float(odd @ single.state) + step,
             )
         )
-        if found is not None and walk.is_sound(found):
+        if found is not None and search.is_sound(found):
             (seen,) = yield Look([found])
             if fits(found, seen):
                 return found if odd @ found.state_along > 0 else found.reversed()

@@ -11,6 +11,7 @@ from jaxtyping import ArrayLike
 
 from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
+from vibrojax.branches.comparing import compare
 from vibrojax.branches.points import CURVES, BranchPoints
 from vibrojax.branches.resampling import resample
 from vibrojax.branches.settings import ContinuationSettings
@@ -54,6 +55,19 @@ class Branch(BranchPoints, AbstractSaved):
         the rest is as on this branch. Raises `ValueError` where there is no such point.
         """
         return Branch.of(switch_branch(self, number, settings or ContinuationSettings()))
+
+    @validated
+    def compare(self, sweep: FrequencyResponse) -> "xarray.Dataset":
+        """Return how far the settled points of a sweep of the same system are from the branch.
+
+        `relative_difference` of every point of the period of the branch, over (direction,
+        frequency): the least over the passages of the branch of the largest change of amplitude,
+        rms and contact force; NaN for points of other periods and outside of the range.
+        `on_branch` says where it is 1e-6 or less. A point that is not is of a branch of its own, or
+        one of the two is wrong. Raises `ValueError` for a branch along another number than the
+        frequency axis of the sweep, or a sweep of several systems.
+        """
+        return compare(self, sweep)
 
     @validated
     def plot(

@@ -10,13 +10,15 @@ from jaxtyping import Float
 from vibrojax.branches.beginning import doubled, free_flight, motion_near, opened
 from vibrojax.branches.contacts import TURN
 from vibrojax.branches.continuation import Ending
+from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.exact_results import columns_of_motions, curve_of, special_results
 from vibrojax.branches.finishing import branch_of, nothing
+from vibrojax.branches.on_curve import Ask, OnCurve
 from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import BranchPoints
 from vibrojax.branches.refining import special_points_of
 from vibrojax.branches.side_by_side import CurveRigs, Job, compile_ahead, run_together
-from vibrojax.branches.walking import Ask, OnCurve, Walk
+from vibrojax.branches.walking import Walk
 from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath, OpenedPath, localise
 from vibrojax.steady.starting import settled_states
@@ -28,7 +30,9 @@ def walk_branches(plan: Plan, paths: AbstractPath) -> list[BranchPoints]:
     rigs = CurveRigs(paths, plan.period)
     compile_ahead(rigs, len(lanes))
     walks = _walks(plan, rigs, plan.low)
-    free = run_together([_job(w, rigs, k, free_flight(w, plan.low)) for k, w in enumerate(walks)])
+    free = run_together(
+        [_job(w, rigs, k, free_flight(w.search, plan.low)) for k, w in enumerate(walks)]
+    )
     starts: list[OnCurve | None] = [motion if holds else None for motion, holds in free]
     notes = ["" for _ in lanes]
     left = [k for k in lanes if starts[k] is None]
@@ -53,7 +57,9 @@ def walk_from(
     """Walk both ways from a motion near a state; None where there is none."""
     rigs = CurveRigs(paths, plan.period)
     (up,), (down,) = _walks(plan, rigs, value), _walks(plan, rigs, value)
-    (start,) = run_together([_job(up, rigs, 0, motion_near(up, up.unit * state, value))])
+    (start,) = run_together(
+        [_job(up, rigs, 0, motion_near(up.search, up.search.unit * state, value))]
+    )
     if start is None:
         return None
     rises, falls = run_together(
@@ -74,11 +80,13 @@ def walk_doubled(
     rigs, single = CurveRigs(paths, plan.period), CurveRigs(paths, plan.period // 2)
     (walk,) = _walks(plan, rigs, value)
     walk.doubled = True
-    half = replace(walk, whole=walk.whole / 2, points=[], seen=[], touches=[])
-    (near,) = run_together([_job(half, single, 0, motion_near(half, half.unit * state, value))])
+    search = walk.search
+    half = walk.anew(replace(search, whole=search.whole / 2), plan.low, plan.high)
+    steps = motion_near(half.search, search.unit * state, value)
+    (near,) = run_together([_job(half, single, 0, steps)])
     if near is None:
         return None
-    (start,) = run_together([_job(walk, rigs, 0, doubled(walk, near))])
+    (start,) = run_together([_job(walk, rigs, 0, doubled(search, near))])
     if start is None:
         return None
     (ending,) = run_together([_job(walk, rigs, 0, walk.go(start, None))])
@@ -86,16 +94,14 @@ def walk_doubled(
 
 
 def _job(walk: Walk, rigs: CurveRigs, lane: int, steps: Any) -> Job:
-    return Job(steps, rigs, lane, walk.unit, walk.scale)
+    return Job(steps, rigs, lane, walk.search.unit, walk.search.scale)
 
 
 def _walks(plan: Plan, rigs: CurveRigs, value: float) -> list[Walk]:
     lanes = np.arange(len(plan.labels))
     return [
         Walk(
-            unit=unit,
-            scale=plan.scale,
-            whole=TURN * plan.period,
+            search=CurveSearch(unit, plan.scale, TURN * plan.period),
             low=plan.low,
             high=plan.high,
             longest=plan.longest_step,
@@ -115,12 +121,13 @@ def _joined(down: Walk, up: Walk) -> Walk:
     ]
     touches = [t._replace(at=last - t.at, entering=not t.entering) for t in down.touches[::-1]]
     touches += [t._replace(at=last + t.at) for t in up.touches]
+    search = replace(up.search, asked=up.search.asked + down.search.asked)
     return replace(
         up,
+        search=search,
         points=[*back, *up.points[1:]],
         seen=[*down.seen[::-1], *up.seen[1:]],
         touches=touches,
-        asked=up.asked + down.asked,
     )
 
 
@@ -139,16 +146,17 @@ def _by_opening(
     for i, k in enumerate(left):
         walk, motion = walks[k], free[k][0]
         places, w = phases.towards_stop[i], float(np.asarray(local.place.angular_frequency)[i])
-        position, speed = np.split(motion.state / walk.unit, 2)
+        position, speed = np.split(motion.state / walk.search.unit, 2)
         reach = float(np.max(np.hypot(places @ position, places @ speed / w) - phases.gap[i]))
-        along = replace(walk, scale=2.0 * max(reach, 1e-12), points=[], seen=[], touches=[])
+        scale = 2.0 * max(reach, 1e-12)
+        along = walk.anew(replace(walk.search, scale=scale, asked=0), 0.0, 0.0)
         jobs[k] = _job(along, wider, i, opened(along, motion, reach))
     ends = dict(zip(jobs, run_together(list(jobs.values())), strict=True))
 
     def there(k: int) -> Any:
         end = ends[k]
         ask = Ask(end.contacts, end.times, end.state, plan.low, by_parameter=1.0, value=plan.low)
-        return (yield from walks[k].solve(ask))
+        return (yield from walks[k].search.solve(ask))
 
     again = {k: _job(walks[k], rigs, k, there(k)) for k, end in ends.items() if end is not None}
     found = dict(zip(again, run_together(list(again.values())), strict=True))
@@ -164,7 +172,9 @@ def _by_settling(
     paths = take(rigs.paths, np.array(left))
     states, settled = settled_states(paths, np.full(len(left), plan.low), plan.period, True)
     jobs = {
-        k: _job(walks[k], rigs, k, motion_near(walks[k], walks[k].unit * state, plan.low))
+        k: _job(
+            walks[k], rigs, k, motion_near(walks[k].search, walks[k].search.unit * state, plan.low)
+        )
         for k, state, good in zip(left, states, settled, strict=True)
         if good
     }
@@ -190,7 +200,7 @@ def _results(
             columns = columns_of_motions(paths, k, walk.points, walk.seen, plan.period)
             columns["arclength"] = np.cumsum([point.way for point in walk.points])
         else:
-            columns = nothing(len(walk.unit))
+            columns = nothing(len(walk.search.unit))
         results.append(
             branch_of(
                 plan,
@@ -200,7 +210,7 @@ def _results(
                 notes[k],
                 columns,
                 special_results(paths, k, special[k], plan.period),
-                ticks=walk.asked,
+                ticks=walk.search.asked,
                 curve=curve_of(walk),
             )
         )

@@ -7,11 +7,13 @@ import numpy as np
 
 from vibrojax.branches.contacts import TURN
 from vibrojax.branches.continuation import LONGEST_STEP
+from vibrojax.branches.curve_search import CurveSearch
+from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
 from vibrojax.branches.points import ExactCurve, SpecialPoint
 from vibrojax.branches.readings import Columns, references
 from vibrojax.branches.refining import Special, Stretch
 from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
-from vibrojax.branches.walking import Look, OnCurve, Seen, Steps, Touch, Walk
+from vibrojax.branches.walking import Walk
 from vibrojax.steady.paths import AbstractPath
 from vibrojax.sweep.swept_lanes import ratios_of
 
@@ -57,15 +59,13 @@ def special_results(
 
 def curve_of(walk: Walk) -> ExactCurve:
     """What of a walk is kept with its branch."""
-    return ExactCurve(walk.unit, walk.scale, tuple(walk.points), tuple(walk.touches))
+    return ExactCurve(walk.search.unit, walk.search.scale, tuple(walk.points), tuple(walk.touches))
 
 
 def walk_of(curve: ExactCurve, period: int, bounds: tuple[float, float]) -> Walk:
     """Take a walk up again."""
     return Walk(
-        unit=curve.unit,
-        scale=curve.scale,
-        whole=TURN * period,
+        search=CurveSearch(curve.unit, curve.scale, TURN * period),
         low=bounds[0],
         high=bounds[1],
         longest=LONGEST_STEP,
@@ -81,7 +81,8 @@ def motions_at(
     """Solve for motions at values, each behind a point of the branch; None where there is none."""
     rigs = CurveRigs(path, period)
     jobs = [
-        Job(_between(walk, first, value), rigs, 0, walk.unit, walk.scale) for first, value in places
+        Job(_between(walk, first, value), rigs, 0, walk.search.unit, walk.search.scale)
+        for first, value in places
     ]
     both = run_together(jobs)
     return [motion for motion, _ in both], [seen for _, seen in both]
@@ -94,7 +95,7 @@ def _between(walk: Walk, first: int, value: float) -> Steps:
     motion = None
     if touch is None:
         nearer = a if abs(value - a.parameter) < abs(value - b.parameter) else b
-        motion = yield from walk.solve(walk.pinned(nearer, value))
+        motion = yield from walk.search.solve(walk.search.pinned(nearer, value))
         if motion is not None and not _is_within(walk, a, b, motion):
             motion = None
     if motion is None:
@@ -107,10 +108,10 @@ def _between(walk: Walk, first: int, value: float) -> Steps:
 
 def _is_within(walk: Walk, a: OnCurve, b: OnCurve, motion: OnCurve) -> bool:
     """Whether a motion lies between two of its family."""
-    if not walk.is_sound(motion):
+    if not walk.search.is_sound(motion):
         return False
     near = a if motion.contacts.section == a.contacts.section else b
-    way = walk.along(near, motion.state - near.state, motion.parameter - near.parameter)
+    way = walk.search.along(near, motion.state - near.state, motion.parameter - near.parameter)
     slack = 1e-6 + 0.05 * b.way
     return -slack <= (way if near is a else -way) <= b.way + slack
 
@@ -126,7 +127,7 @@ def _by_halving(walk: Walk, first: int, touch: Touch | None, value: float) -> St
         return walk.points[touch.at]
     if found.motion is None:
         return None
-    held = yield from walk.solve(walk.pinned(found.motion, value))
-    if held is not None and walk.is_sound(held):
+    held = yield from walk.search.solve(walk.search.pinned(found.motion, value))
+    if held is not None and walk.search.is_sound(held):
         return held
     return found.motion if found.solved else None

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
-from vibrojax.branches.walking import OnCurve, Touch
+from vibrojax.branches.on_curve import OnCurve, Touch
 from vibrojax.results.variables import axis_description, axis_unit, described_as
 from vibrojax.steady.paths import AbstractPath
 

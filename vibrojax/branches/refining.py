@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
 from vibrojax.branches.special_points import doubling_test, on_circle, torus_test
-from vibrojax.branches.walking import Look, OnCurve, Seen, Steps, Touch, Walk
+from vibrojax.branches.walking import Walk
 
 ROUNDS = 60
 SOLVED = {"fold": 1e-8, "period_doubling": 1e-11, "neimark_sacker": 1e-11}
@@ -97,7 +98,7 @@ class Stretch:
     """
 
     def __init__(self, walk: Walk, k: int, touch: Touch | None):
-        self.walk, self.touch = walk, touch
+        self.search, self.touch = walk.search, touch
         self.first, self.last = walk.points[k], walk.points[k + 1]
         if touch is None:
             self.ends = 0.0, self.last.way
@@ -116,20 +117,20 @@ class Stretch:
         """Solve for the motion at a place; None where there is none."""
         near_place, near = min(self.known, key=lambda each: abs(each[0] - place))
         if self.touch is None:
-            guess = self.walk.ahead(near, place - near_place)
-            ask = self.walk.ahead(self.first, place)
+            guess = self.search.ahead(near, place - near_place)
+            ask = self.search.ahead(self.first, place)
             ask = ask._replace(times=guess.times, state=guess.state, parameter=guess.parameter)
         else:
             rate = float(self.by_times @ near.times_along)
-            guess = self.walk.ahead(near, (place - near_place) / rate if rate else 0.0)
+            guess = self.search.ahead(near, (place - near_place) / rate if rate else 0.0)
             ask = guess._replace(
                 by_state=0.0, by_times=self.by_times, by_parameter=0.0, value=place
             )
-        found = yield from self.walk.solve(ask)
-        if found is None or not self.walk.is_sound(found) or self.walk.collapses(near, found):
+        found = yield from self.search.solve(ask)
+        if found is None or not self.search.is_sound(found) or self.search.collapses(near, found):
             return None
         if self.touch is None:
-            found = self.walk.oriented(found, self.first)
+            found = self.search.oriented(found, self.first)
         elif (found.times_along @ self.by_times > 0) != self.touch.entering:
             found = found.reversed()
         self.known.append((place, found))

@@ -70,6 +70,7 @@ def _crossings(branch: BranchPoints, values: np.ndarray):
 def _interpolated(branch: BranchPoints, i: int, share: float) -> np.ndarray:
     """Cubic through the four neighbours, or a line at the ends and next to a fold."""
     depth, x = branch.depth, branch.values
+    assert depth is not None  # of a balanced branch
     line = (1 - share) * depth[i] + share * depth[i + 1]
     if i == 0 or i + 2 >= len(x):
         return line
@@ -125,8 +126,8 @@ def _exact(branch: BranchPoints, values, first, share) -> tuple[Columns, np.ndar
     known = next((each for each in seen if each is not None), None)
     if known is None:
         return {name: np.full(len(values), np.nan) for name in CURVES} | {
-            "initial_state": np.full((len(values), len(walk.unit)), np.nan),
-            "floquet_multipliers": np.full((len(values), len(walk.unit)), np.nan),
+            "initial_state": np.full((len(values), len(walk.search.unit)), np.nan),
+            "floquet_multipliers": np.full((len(values), len(walk.search.unit)), np.nan),
         }, good
     seen = [each or known for each in seen]
     return columns_of_motions(branch.path, 0, motions, seen, branch.period), good

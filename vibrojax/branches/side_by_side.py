@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from vibrojax.branches.contacts import TURN, Contacts
-from vibrojax.branches.walking import Ask, Look, OnCurve, Seen
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen
 from vibrojax.steady.contact_times import Events
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.orbit_curve import ROOM, Condition, Try, read_on_curve, solve_on_curve
@@ -145,8 +145,9 @@ def _answers(jobs: list[Job], asked: dict[int, Any]) -> dict[int, Any]:
 @lru_cache
 def _blank(states: int) -> LaneTable:
     """A table of `Try` with one row of zeros."""
-    none, zero = np.zeros((ROOM, 1)), np.zeros(1)
-    state, whole = np.zeros((states, 1)), np.zeros(1, np.int32)
+    numbers: Any = np.zeros
+    none, zero, state = numbers((ROOM, 1)), numbers(1), numbers((states, 1))
+    whole: Any = np.zeros(1, np.int32)
     events = Events(none.astype(np.int32), whole, zero)
     condition = Condition(state, none, zero, zero, zero)
     return table_of(Try(events, state, none, zero, state, zero, whole, condition), xp=np)

@@ -1,0 +1,117 @@
+"""Searches for motions of a curve, each from one that is known."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax.branches.contacts import at_section, best_section, is_close, is_ordered, pairs
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Steps
+
+ACCURATE = 1e-9
+"""Largest last correction of a motion that counts as solved for."""
+COLLAPSED = 0.1
+"""Share of its duration below which a pair is taken to have vanished."""
+FARTHEST = 0.16
+"""Farthest in arclength that a tangent is followed for a guess."""
+
+
+@dataclass
+class CurveSearch:
+    """Searches along the curve of one lane."""
+
+    unit: Float[np.ndarray, " states"]
+    """Weights of states (q, q') in the energy."""
+    scale: float
+    """Change of the parameter that counts as much as the state changing by its size."""
+    whole: float
+    """Drive phase, rad, of a period of the motion."""
+    asked: int = 0
+    """Motions that were solved for."""
+
+    def along(self, a: OnCurve, state: np.ndarray, parameter: float) -> float:
+        """Length of a change along the curve at a motion."""
+        change = float(a.state_along @ state) / a.size**2
+        return change + a.parameter_along * parameter / self.scale**2
+
+    def ahead(self, a: OnCurve, step: float) -> Ask:
+        """The motion a step further on."""
+        by_state, by_parameter = a.state_along / a.size**2, a.parameter_along / self.scale**2
+        return Ask(
+            a.contacts,
+            a.times + step * a.times_along,
+            a.state + step * a.state_along,
+            a.parameter + step * a.parameter_along,
+            by_state=by_state,
+            by_parameter=by_parameter,
+            value=float(by_state @ a.state) + by_parameter * a.parameter + step,
+        )
+
+    def pinned(self, a: OnCurve, value: float) -> Ask:
+        """The motion at a value of the parameter near a motion of the curve."""
+        rate = a.parameter_along
+        step = (value - a.parameter) / rate if rate else 0.0
+        if abs(step) > FARTHEST:
+            step = 0.0
+        guess = self.ahead(a, step)
+        return guess._replace(parameter=value, by_state=0.0, by_parameter=1.0, value=value)
+
+    def solve(self, ask: Ask) -> Steps:
+        """Solve for a motion; None where there is none."""
+        self.asked += 1
+        found = yield ask
+        return found if found.error <= ACCURATE else None
+
+    def is_sound(self, found: OnCurve | None) -> bool:
+        """Whether a motion was found whose events follow one another."""
+        return found is not None and is_ordered(found.contacts, found.times, self.whole)
+
+    def oriented(self, found: OnCurve, last: OnCurve) -> OnCurve:
+        """The motion with the direction in which the curve was followed to it."""
+        way = self.along(last, found.state - last.state, found.parameter - last.parameter)
+        found = replace(found, family=last.family, way=way)
+        forward = self.along(last, found.state_along, found.parameter_along)
+        return found if forward >= 0 else found.reversed()
+
+    def collapses(self, last: OnCurve, found: OnCurve) -> bool:
+        """Whether a pair has all but vanished: of no duration it fits everywhere."""
+        if last.contacts.stops != found.contacts.stops:
+            return False
+        both = zip(
+            pairs(last.contacts, last.times), pairs(found.contacts, found.times), strict=True
+        )
+        return any(np.ptp(b.times) < COLLAPSED * np.ptp(a.times) for a, b in both)
+
+    def cut_well(self, motion: OnCurve) -> Steps:
+        """Move the section away from where contact changes."""
+        if not is_close(motion.contacts, motion.times, self.whole):
+            return motion
+        section = best_section(motion.contacts, motion.times, self.whole)
+        cut = yield from self.cut_at(motion, section)
+        return motion if cut is None else cut
+
+    def cut_at(self, motion: OnCurve, section: float) -> Steps:
+        """Cut a motion at another drive phase; None where that does not work."""
+        if section < motion.contacts.section:
+            section += self.whole
+        (seen,) = yield Look([motion], [section])
+        contacts, times, order = at_section(motion.contacts, motion.times, section, self.whole)
+        by_times, by_parameter = motion.times_along[order], motion.parameter_along / self.scale**2
+        length = max(float(np.max(np.abs(by_times), initial=0.0)), abs(by_parameter), 1e-300)
+        by_times, by_parameter = by_times / length, by_parameter / length
+        found = yield from self.solve(
+            Ask(
+                contacts,
+                times,
+                seen.at_section,
+                motion.parameter,
+                by_times=by_times,
+                by_parameter=by_parameter,
+                value=float(by_times @ times) + by_parameter * motion.parameter,
+            )
+        )
+        if found is None or not self.is_sound(found):
+            return None
+        found = replace(found, family=motion.family, way=motion.way)
+        forward = found.times_along @ by_times + found.parameter_along * by_parameter
+        return found if forward >= 0 else found.reversed()

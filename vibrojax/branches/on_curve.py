@@ -1,0 +1,104 @@
+"""Motions of a curve as a walk along it knows them: what is asked for, and what was seen."""
+
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax.branches.contacts import Contacts, same
+
+
+@dataclass(frozen=True)
+class OnCurve:
+    """A motion of a curve, and the direction in which the curve goes on."""
+
+    contacts: Contacts
+    times: Float[np.ndarray, " events"]
+    state: Float[np.ndarray, " states"]
+    """At the section, in units of energy."""
+    parameter: float
+    state_along: Float[np.ndarray, " states"]
+    times_along: Float[np.ndarray, " events"]
+    parameter_along: float
+    matrix: Float[np.ndarray, "states states"]
+    error: float = np.inf
+    rounds: int = 0
+    height_along: float = 0.0
+    bend: float = 0.0
+    way: float = 0.0
+    """Arclength from the point before."""
+    family: int = 0
+    """Motions of one family have the same contacts, and no touch between them."""
+
+    def reversed(self) -> "OnCurve":
+        """The same motion, the curve followed the other way."""
+        return replace(
+            self,
+            state_along=-self.state_along,
+            times_along=-self.times_along,
+            parameter_along=-self.parameter_along,
+            height_along=-self.height_along,
+        )
+
+    @property
+    def size(self) -> float:
+        """Of the state, as a length."""
+        return max(float(np.linalg.norm(self.state)), 1e-300)
+
+
+class Ask(NamedTuple):
+    """What is to be solved for: a guess and a condition (`orbit_curve.Condition`)."""
+
+    contacts: Contacts
+    times: Float[np.ndarray, " events"]
+    state: Float[np.ndarray, " states"]
+    parameter: float
+    by_state: Float[np.ndarray, " states"] | float = 0.0
+    by_times: Float[np.ndarray, " events"] | float = 0.0
+    by_parameter: float = 0.0
+    by_height: float = 0.0
+    value: float = 0.0
+    peak: int = -1
+
+
+class Look(NamedTuple):
+    """Motions that are to be marched and measured."""
+
+    motions: list[OnCurve]
+    sections: list[float] | None = None
+    """Where their states are wanted too."""
+
+
+class Seen(NamedTuple):
+    """What a march of a motion showed."""
+
+    contacts: Contacts
+    times: Float[np.ndarray, " events"]
+    fits: bool
+    """Whether there was room for all events."""
+    initial_state: Float[np.ndarray, " states"]
+    at_section: Float[np.ndarray, " states"]
+    measures: Any
+
+
+class Touch(NamedTuple):
+    """A touch between two points of a walk: the motion at it, and the pair that it is of."""
+
+    at: int
+    """Index of the point that is the touch."""
+    entering: bool
+    """Whether the pair is there behind the touch, or before it."""
+    places: tuple[int, int]
+    """Of the pair in the motions that have it."""
+    stop: int
+
+
+def fits(motion: OnCurve, seen: Seen) -> bool:
+    """Whether a motion keeps to its contacts."""
+    return seen.fits and same(motion.contacts, motion.times, seen.contacts, seen.times)
+
+
+Steps = Generator[Ask | Look, Any, Any]
+"""Yields what is to be solved for or looked at, and takes the answers."""

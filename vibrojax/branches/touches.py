@@ -1,0 +1,183 @@
+"""Touches along a curve: where a contact begins or ends, and the way beyond."""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax.branches.contacts import (
+    Contacts,
+    Pair,
+    Times,
+    is_ordered,
+    new_pairs,
+    pairs,
+    with_pairs,
+    with_peak,
+    without,
+)
+from vibrojax.branches.curve_search import CurveSearch
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch, fits
+
+CLOSES = 0.3
+"""Share of its duration that is left to a pair at the next step, where it may vanish."""
+LONGEST_TOUCH = 0.3
+"""Duration, rad, of the first contact that is tried behind a touch."""
+TOGETHER = 1e-7
+"""Arclength within which touches happen at once."""
+LEAST_WAY = 0.02
+"""Arclength behind a touch that is tried at the least."""
+
+
+class Passed(NamedTuple):
+    """The way through a touch."""
+
+    motions: list[OnCurve]
+    """The touch, and where a contact begins the first motion that has it; None is without."""
+    seen: list[Seen]
+    touch: Touch
+    """Counted from the first of them."""
+
+
+def closing(last: OnCurve, step: float) -> list[tuple[float, Pair]]:
+    """Pairs that may vanish within a step, with the way until then."""
+    found = []
+    for pair in pairs(last.contacts, last.times):
+        i, j = pair.places
+        lasts = last.times[j] - last.times[i]
+        rate = last.times_along[j] - last.times_along[i]
+        if rate < 0 and lasts + step * rate < CLOSES * lasts:
+            # Durations fall off as the square root of the way.
+            found.append((lasts / (-2 * rate), pair))
+    return sorted(found, key=lambda each: each[0])
+
+
+def touch_at(
+    search: CurveSearch,
+    guess: tuple[Contacts, Times, Float[np.ndarray, " states"], float],
+    stop: int,
+    angle: float,
+) -> Steps:
+    """Solve for the motion that just touches a stop; with its peak as an event taken out."""
+    contacts, times, state, parameter = guess
+    peaked, every, place = with_peak(contacts, times, stop, angle)
+    found = yield from search.solve(Ask(peaked, every, state, parameter, by_height=1.0, peak=place))
+    if found is None or not search.is_sound(found) or not found.bend < 0:
+        return None
+    without_peak = replace(
+        found,
+        contacts=contacts,
+        times=np.delete(found.times, place),
+        times_along=np.delete(found.times_along, place),
+    )
+    return without_peak, float(found.times[place])
+
+
+def vanish(search: CurveSearch, last: OnCurve, step: float) -> Steps:
+    """Go to the touch at which a contact ends to be."""
+    near = closing(last, step)
+    if not near:
+        return None
+    together = [each for each in near if each[0] <= 2 * near[0][0]]
+    for group in [together, near[:1]][len(together) == 1 :]:
+        way, pair = group[0]
+        contacts, times = without(last.contacts, last.times, [p for _, p in group])
+        rate = without(last.contacts, last.times_along, [p for _, p in group])[1]
+        state = last.state + way * last.state_along
+        guess = contacts, times + way * rate, state, last.parameter + way * last.parameter_along
+        came = yield from touch_at(search, guess, pair.stop, pair.middle)
+        if came is None:
+            continue
+        touch, _ = came
+        gone = search.along(last, touch.state - last.state, touch.parameter - last.parameter)
+        if not -TOGETHER < gone < 4 * max(step, way):
+            continue
+        # Behind the touch the stop is left further and further.
+        touch = touch if touch.height_along < 0 else touch.reversed()
+        touch = replace(touch, family=last.family + 1, way=abs(gone))
+        (seen,) = yield Look([touch])
+        return Passed([touch], [seen], Touch(0, False, pair.places, pair.stop))
+    return None
+
+
+def touch_between(
+    search: CurveSearch, last: OnCurve, bad: OnCurve, seen: Seen, apart: float
+) -> Steps:
+    """Go to the touch before a motion that breaks its contacts, and beyond it."""
+    if bad.contacts.section != last.contacts.section:
+        cut = yield from search.cut_at(last, bad.contacts.section)
+        if cut is None:
+            return None
+        last = cut
+    extra = new_pairs(bad.contacts, bad.times, seen.contacts, seen.times) if seen.fits else None
+    if not extra:
+        return (yield from vanish(search, last, apart))
+    found = []
+    for pair in extra:
+        guess = bad.contacts, bad.times, bad.state, bad.parameter
+        came = yield from touch_at(search, guess, pair.stop, pair.middle)
+        if came is None:
+            continue
+        touch, angle = came
+        gone = search.along(last, touch.state - last.state, touch.parameter - last.parameter)
+        if -TOGETHER < gone < 1.2 * apart + TOGETHER:
+            found.append((gone, pair.stop, angle, touch))
+    if not found:
+        return None
+    found.sort(key=lambda each: each[0])
+    touch = found[0][3]
+    # Before the touch the stop came nearer and nearer.
+    touch = touch if touch.height_along > 0 else touch.reversed()
+    at_once = [each for each in found if each[0] - found[0][0] < TOGETHER]
+    return (yield from _enter(search, last, touch, at_once, apart))
+
+
+def _enter(
+    search: CurveSearch, last: OnCurve, touch: OnCurve, new: list[Any], apart: float
+) -> Steps:
+    """Go beyond a touch, to a motion with the new contacts."""
+    touch = replace(touch, family=last.family, way=abs(new[0][0]))
+    ends = np.concatenate(
+        [[touch.contacts.section], touch.times, [touch.contacts.section + search.whole]]
+    )
+    room = min(float(np.min(np.abs(ends - angle))) for _, _, angle, _ in new)
+    lasts = [np.sqrt(8 * abs(t.height_along / t.bend)) for *_, t in new]
+    first = min(lasts[0] * np.sqrt(max(apart, LEAST_WAY)), 0.5 * room, LONGEST_TOUCH)
+    for _ in range(30):
+        way = (first / lasts[0]) ** 2 if lasts[0] > 0 else 0.0
+        way = min(way, max(apart, LEAST_WAY))
+        both = [
+            Pair(stop, (0, 0), (angle - d * first / 2, angle + d * first / 2))
+            for (_, stop, angle, _), d in zip(new, np.array(lasts) / lasts[0], strict=True)
+        ]
+        moved = touch.times + way * touch.times_along
+        contacts, times = with_pairs(touch.contacts, moved, both)
+        at = np.flatnonzero(np.isin(times, both[0].times))
+        if len(at) == 2 and is_ordered(contacts, times, search.whole):
+            places = int(at[0]), int(at[1])
+            by_times = np.zeros(len(times))
+            by_times[list(places)] = -1.0, 1.0
+            found = yield from search.solve(
+                Ask(
+                    contacts,
+                    times,
+                    touch.state + way * touch.state_along,
+                    touch.parameter + way * touch.parameter_along,
+                    by_times=by_times,
+                    value=first,
+                )
+            )
+            if found is not None and search.is_sound(found):
+                grows = found.times_along @ by_times > 0
+                found = found if grows else found.reversed()
+                gone = search.along(
+                    touch, found.state - touch.state, found.parameter - touch.parameter
+                )
+                found = replace(found, family=last.family + 1, way=abs(gone))
+                both_seen = yield Look([touch, found])
+                if fits(found, both_seen[1]):
+                    touched = Touch(0, True, places, new[0][1])
+                    return Passed([touch, found], both_seen, touched)
+        first *= 0.4
+    return None
