@@ -1,24 +1,35 @@
-"""Complete curves over random rigs: how often the branch reaches the end of its range, and why not.
+"""Sweeps and branches of random rigs: which of them come to an end, and whether they agree.
 
-    python benchmarks/random_rigs.py --rigs 300 --json random_rigs.json
+    python benchmarks/random_rigs.py --rigs 1000 --seed 1 --json random_rigs.json
 
-Taper 0 to 0.8, mass ratio 0 to 5, gap 0.1 to 1.5 mm, position 0.3 to 1, stiffness 500 to 50000 N/m
-(logarithmic), damping ratio 0.005 to 0.05 (logarithmic); frequency ratio 0.6 to 2.
+Taper 0 to 0.95, mass ratio 0 to 10, damping ratio 0 to 0.2, base motion 1e-6 to 1e-2 m
+(logarithmic), one to three stops on both sides, each with a gap of 0 to 2 mm, a stiffness of 1 to
+1e7 N/m (logarithmic), a damping of 0 to 50 N s/m and a place of 0.05 to 1; 1 to 12 modes; frequency
+ratio 0.6 to 2. Every number of modes and stops is compiled once: `--modes` and `--stops` choose
+some of them.
 """
 
 import argparse
+import inspect
 import json
 import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 import vibrojax as vj
 
 BOUNDS = vj.Range(0.6, 2.0)
-CLASSES = ((0.0, 10.0), (10.0, 50.0), (50.0, 200.0), (200.0, np.inf))
+RATIOS = np.linspace(0.6, 2.0, 20)
+SIDES = (1, -1, 1)
+OF_STOP = ("position", "gap", "stiffness", "damping")
+OF_RIG = ("taper", "mass_ratio", "damping_ratio", "base_amplitude")
 
 
 def random_numbers(count: int, seed: int = 1) -> list[dict[str, float]]:
+    """Numbers of the default rig that are often met: for `settling.py`."""
     random = np.random.default_rng(seed)
     return [
         {
@@ -33,79 +44,132 @@ def random_numbers(count: int, seed: int = 1) -> list[dict[str, float]]:
     ]
 
 
-def stiffness_number(rig: vj.ImpactingBeam) -> float:
-    """Ks phi_1(s1)^2 / (m_1 w_1^2): how stiff the stop is to the first mode."""
-    e = rig.equations()
-    push = float(e.stop_map[0, 0] * e.force_map[0, 0])
-    return float(rig.stops[0].law.stiffness) * push / float(e.angular_frequency[0]) ** 2
-
-
-def measure(count: int, seed: int = 1, show: bool = True) -> list[dict]:
-    rows = []
-    for k, numbers in enumerate(random_numbers(count, seed)):
-        rig = vj.default_rig(**numbers)
-        start = time.perf_counter()
-        branch = vj.continue_response(rig, frequency_ratio=BOUNDS)
-        seconds = time.perf_counter() - start
-        row = numbers | {
-            "p0": stiffness_number(rig),
-            "status": branch.status,
-            "fallback": "fallback" in branch.sentence,
-            "points": len(branch.values),
-            "balance_only": int(np.sum(~branch.exact_points)),
-            "folds": len(branch.folds),
-            "residual": float(np.max(branch.residual, initial=0.0)),
-            "ticks": branch.ticks,
-            "seconds": seconds,
+def random_rigs(
+    count: int, seed: int, modes: list[int], stops: list[int]
+) -> list[tuple[int, int, dict[str, float]]]:
+    """Numbers of modes and stops and the other numbers of rigs of all kinds."""
+    random = np.random.default_rng(seed)
+    rigs = []
+    for _ in range(count):
+        kind = int(random.choice(modes)), int(random.choice(stops))
+        numbers = {
+            "taper": random.uniform(0.0, 0.95),
+            "mass_ratio": random.uniform(0.0, 10.0),
+            "damping_ratio": random.uniform(0.0, 0.2),
+            "base_amplitude": 10 ** random.uniform(-6, -2),
         }
-        rows.append(row)
-        if show:
-            print(
-                k,
-                f"p0 {row['p0']:8.2f}",
-                row["status"],
-                branch.sentence[:90],
-                row["points"],
-                row["balance_only"],
-                f"{seconds:.2f} s",
-                flush=True,
-            )
-    return rows
+        for k in range(kind[1]):
+            numbers |= {
+                f"position_{k}": random.uniform(0.05, 1.0),
+                f"gap_{k}": random.uniform(0.0, 2e-3),
+                f"stiffness_{k}": 10 ** random.uniform(0, 7),
+                f"damping_{k}": random.uniform(0.0, 50.0),
+            }
+        rigs.append((*kind, numbers))
+    return rigs
 
 
-def summary(rows: list[dict]) -> list[dict]:
-    out = []
-    for low, high in CLASSES:
-        chosen = [r for r in rows if low <= r["p0"] < high]
-        if chosen:
-            done = [r for r in chosen if r["status"] == "completed"]
-            out.append(
-                {
-                    "p0": [low, high],
-                    "rigs": len(chosen),
-                    "complete": len(done) / len(chosen),
-                    "by_fallback": sum(r["fallback"] for r in done) / len(chosen),
-                    "balance_only": sum(r["balance_only"] for r in done)
-                    / max(1, sum(r["points"] for r in done)),
-                    "median_seconds": float(np.median([r["seconds"] for r in chosen])),
-                }
-            )
-    return out
+def maker(modes: int, stops: int) -> Callable[..., vj.ImpactingBeam]:
+    """A function that makes rigs of a kind from their numbers."""
+
+    def make(**given: Any) -> vj.ImpactingBeam:
+        beam = vj.Cantilever(
+            length=0.2,
+            width=0.025,
+            thickness=1e-3,
+            youngs_modulus=130e9,
+            density=8250.0,
+            taper=given["taper"],
+            mass_ratio=given["mass_ratio"],
+        )
+        every = []
+        for k in range(stops):
+            place, gap, stiffness, damping = (given[f"{name}_{k}"] for name in OF_STOP)
+            law = vj.KelvinVoigt(stiffness, damping)
+            every.append(vj.Stop(position=place, gap=gap, law=law, side=SIDES[k]))
+        return vj.ImpactingBeam(
+            beam=beam,
+            stops=tuple(every),
+            drive=vj.BaseMotion(amplitude=given["base_amplitude"]),
+            damping_ratio=given["damping_ratio"],
+            num_modes=modes,
+        )
+
+    names = [*OF_RIG, *(f"{name}_{k}" for k in range(stops) for name in OF_STOP)]
+    kind = inspect.Parameter.KEYWORD_ONLY
+    parameters = [inspect.Parameter(name, kind) for name in names]
+    setattr(make, "__signature__", inspect.Signature(parameters))  # noqa: B010
+    return make
+
+
+def measure(make: Callable[..., vj.ImpactingBeam], numbers: dict[str, float]) -> dict[str, Any]:
+    """Sweep a rig, follow its branch, and compare the two."""
+    rig = make(**numbers)
+    settings = vj.SweepSettings(refine_jumps=None)
+    started = time.perf_counter()
+    sweep = vj.frequency_sweep(rig, frequency_ratio=RATIOS, settings=settings, progress=False)
+    between = time.perf_counter()
+    branch = vj.continue_response(rig, frequency_ratio=BOUNDS)
+    ended = time.perf_counter()
+    status = Counter(vj.Status(value).name for value in np.ravel(sweep.status).tolist())
+    row: dict[str, Any] = numbers | {
+        "sweep": dict(status),
+        "branch": branch.status,
+        "sentence": branch.sentence,
+        "points": len(branch.values),
+        "touching": int(np.sum(branch.contacts_per_period > 0)),
+        "inexact": int(np.sum(~branch.exact_points)),
+        "unrefined": sum(not point.refined for point in branch.special_points),
+        "special": dict(Counter(point.kind for point in branch.special_points)),
+        "sweep_seconds": between - started,
+        "branch_seconds": ended - between,
+    }
+    if len(branch.values) > 1:
+        difference = branch.compare(sweep).relative_difference.values
+        known = np.isfinite(difference) | np.isposinf(difference)
+        row |= {"compared": int(known.sum()), "on_branch": int(np.sum(difference <= 1e-6))}
+    return row
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Count what became of all rigs."""
+    points = Counter()
+    for row in rows:
+        points.update(row["sweep"])
+    return {
+        "rigs": len(rows),
+        "sweep_points": dict(points),
+        "branches": dict(Counter(row["branch"] for row in rows)),
+        "all_exact": sum(row["inexact"] == 0 and row["points"] > 0 for row in rows),
+        "special_points": sum(sum(row["special"].values()) for row in rows),
+        "unrefined": sum(row["unrefined"] for row in rows),
+        "compared": sum(row.get("compared", 0) for row in rows),
+        "on_branch": sum(row.get("on_branch", 0) for row in rows),
+    }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rigs", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--modes", type=int, nargs="*", default=list(range(1, 13)))
+    parser.add_argument("--stops", type=int, nargs="*", default=[1, 2, 3])
     parser.add_argument("--json", default=None)
     given = parser.parse_args()
-    rows = measure(given.rigs, given.seed)
-    table = summary(rows)
-    for row in table:
-        print(row)
+    rigs = random_rigs(given.rigs, given.seed, given.modes, given.stops)
+    makers = {kind: maker(*kind) for kind in {rig[:2] for rig in rigs}}
+    rows = []
+    for k in sorted(range(len(rigs)), key=lambda k: rigs[k][:2]):
+        modes, stops, numbers = rigs[k]
+        row = {"rig": k, "modes": modes, "stops": stops} | measure(makers[modes, stops], numbers)
+        rows.append(row)
+        words = ("rig", "modes", "stops", "sweep", "branch", "points", "touching", "unrefined")
+        print(*(f"{name} {row[name]}" for name in words), flush=True)
+        print("   ", row.get("on_branch"), "of", row.get("compared"), row["sentence"], flush=True)
+    print(json.dumps(summary(rows), indent=1))
     if given.json:
         with open(given.json, "w") as file:
-            json.dump({"summary": table, "rigs": rows}, file, indent=1)
+            json.dump({"seed": given.seed, "summary": summary(rows), "rigs": rows}, file, indent=1)
 
 
 if __name__ == "__main__":

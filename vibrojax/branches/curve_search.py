@@ -26,6 +26,8 @@ class CurveSearch:
     """Change of the parameter that counts as much as the state changing by its size."""
     whole: float
     """Drive phase, rad, of a period of the motion."""
+    smooth: bool
+    """Whether the curve has no corner at a touch: the force of no stop jumps there for good."""
     asked: int = 0
     """Motions that were solved for."""
 

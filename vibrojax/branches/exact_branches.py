@@ -8,9 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.branches.beginning import doubled, free_flight, motion_near, opened
-from vibrojax.branches.contacts import TURN
 from vibrojax.branches.continuation import Ending
-from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.exact_results import columns_of_motions, curve_of, special_results
 from vibrojax.branches.finishing import branch_of, nothing
 from vibrojax.branches.on_curve import Ask, OnCurve
@@ -98,16 +96,9 @@ def _job(walk: Walk, rigs: CurveRigs, lane: int, steps: Any) -> Job:
 
 
 def _walks(plan: Plan, rigs: CurveRigs, value: float) -> list[Walk]:
-    lanes = np.arange(len(plan.labels))
     return [
-        Walk(
-            search=CurveSearch(unit, plan.scale, TURN * plan.period),
-            low=plan.low,
-            high=plan.high,
-            longest=plan.longest_step,
-            max_points=plan.max_points,
-        )
-        for unit in rigs.units(lanes, np.full(len(lanes), value))
+        Walk(search, plan.low, plan.high, plan.longest_step, plan.max_points)
+        for search in rigs.searches(value, plan.scale)
     ]
 
 

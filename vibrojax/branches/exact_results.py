@@ -59,13 +59,15 @@ def special_results(
 
 def curve_of(walk: Walk) -> ExactCurve:
     """What of a walk is kept with its branch."""
-    return ExactCurve(walk.search.unit, walk.search.scale, tuple(walk.points), tuple(walk.touches))
+    search = walk.search
+    points, touches = tuple(walk.points), tuple(walk.touches)
+    return ExactCurve(search.unit, search.scale, search.smooth, points, touches)
 
 
 def walk_of(curve: ExactCurve, period: int, bounds: tuple[float, float]) -> Walk:
     """Take a walk up again."""
     return Walk(
-        search=CurveSearch(curve.unit, curve.scale, TURN * period),
+        search=CurveSearch(curve.unit, curve.scale, TURN * period, curve.smooth),
         low=bounds[0],
         high=bounds[1],
         longest=LONGEST_STEP,

@@ -36,6 +36,8 @@ class ExactCurve(NamedTuple):
     """Weights of states (q, q') in the energy."""
     scale: float
     """Change of the parameter that counts as much as the state changing by its size."""
+    smooth: bool
+    """Whether the curve has no corner at a touch."""
     motions: tuple[OnCurve, ...]
     touches: tuple[Touch, ...]
 

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from vibrojax.branches.contacts import TURN, Contacts
+from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen
 from vibrojax.steady.contact_times import Events
 from vibrojax.steady.lane_table import LaneTable, table_of
@@ -59,10 +60,15 @@ class CurveRigs:
         last = jax.tree.map(lambda a: np.moveaxis(np.asarray(a), 0, -1), local)
         return table_of(last, xp=np)
 
-    def units(self, lanes: np.ndarray, parameter: np.ndarray) -> np.ndarray:
-        """Weights of the states of lanes, one row each."""
-        local = self.at(lanes, parameter).columns()
-        return np.asarray(local.phases.weight)
+    def searches(self, parameter: float, scale: float) -> list[CurveSearch]:
+        """Searches along the curves of all lanes, from a value on."""
+        lanes = np.arange(_leading(self.paths))
+        local = self.at(lanes, np.full(len(lanes), parameter)).columns()
+        # A force that jumps where a stop is touched, and is zero where it is left, makes a corner.
+        pulls = np.array(local.phases.can_pull) | (np.asarray(local.phases.damping) == 0)
+        both = zip(np.asarray(local.phases.weight), pulls.all(axis=1), strict=True)
+        whole = TURN * self.period
+        return [CurveSearch(unit.copy(), scale, whole, bool(smooth)) for unit, smooth in both]
 
 
 def _leading(tree: Any) -> int:

@@ -95,6 +95,8 @@ def vanish(search: CurveSearch, last: OnCurve, step: float) -> Steps:
             continue
         # Behind the touch the stop is left further and further.
         touch = touch if touch.height_along < 0 else touch.reversed()
+        if search.smooth and not _goes_on(search, last, touch):
+            continue
         touch = replace(touch, family=last.family + 1, way=abs(gone))
         (seen,) = yield Look([touch])
         return Passed([touch], [seen], Touch(0, False, pair.places, pair.stop))
@@ -121,16 +123,21 @@ def touch_between(
             continue
         touch, angle = came
         gone = search.along(last, touch.state - last.state, touch.parameter - last.parameter)
-        if -TOGETHER < gone < 1.2 * apart + TOGETHER:
+        # Before the touch the stop came nearer and nearer.
+        touch = touch if touch.height_along > 0 else touch.reversed()
+        if -TOGETHER < gone < 1.2 * apart + TOGETHER and _goes_on(search, last, touch):
             found.append((gone, pair.stop, angle, touch))
     if not found:
         return None
     found.sort(key=lambda each: each[0])
     touch = found[0][3]
-    # Before the touch the stop came nearer and nearer.
-    touch = touch if touch.height_along > 0 else touch.reversed()
     at_once = [each for each in found if each[0] - found[0][0] < TOGETHER]
     return (yield from _enter(search, last, touch, at_once, apart))
+
+
+def _goes_on(search: CurveSearch, last: OnCurve, touch: OnCurve) -> bool:
+    """Whether the curve runs the same way at two motions."""
+    return search.along(last, touch.state_along, touch.parameter_along) > 0
 
 
 def _enter(

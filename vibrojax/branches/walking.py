@@ -25,8 +25,8 @@ MOST_AHEAD = 16
 """Points that are solved for before they are looked at."""
 GROWTH = (3, 2.5), (4, 1.8), (5, 1.4), (7, 1.0), (np.inf, 0.7)
 """By what steps grow after so many rounds of Newton's method."""
-MOST_TOUCHES = 40
-"""Tries at touches before the next point has to be found."""
+MOST_TRIES = 40
+"""Tries to pass a touch before the next point has to be found."""
 
 
 @dataclass
@@ -62,8 +62,10 @@ class Walk:
         (seen,) = yield Look([here])
         self.add(here, seen)
         begun, step, room, ahead = start.parameter, FIRST, 4, []
-        idle = 0
+        tries, reached = 0, 0
         while True:
+            if len(self.points) > reached:
+                tries, reached = 0, len(self.points)
             last = ahead[-1] if ahead else self.points[-1]
             if len(self.points) + len(ahead) > self.max_points:
                 return Ending.running
@@ -86,21 +88,21 @@ class Walk:
                 apart = max(bad.way, 2 * SHORTEST)
                 ahead, room = [], 4
                 came = self.take((yield from touch_between(self.search, last, bad, seen, apart)))
-                idle += 1
+                tries += 1
                 step = FIRST / 2 if came else apart / 4
-                if step < SHORTEST or idle > MOST_TOUCHES:
+                if step < SHORTEST or tries > MOST_TRIES:
                     return Ending.stuck
                 continue
             room, ahead = min(2 * room, MOST_AHEAD), []
             if goal is not None:
                 return Ending.turned_back if goal == begun else Ending.completed
             if found is not None:
-                step, idle = next_step, 0
+                step = next_step
                 continue
             came = self.take((yield from vanish(self.search, self.points[-1], step)))
-            idle += 1
+            tries += 1
             step = FIRST / 2 if came else step / 2.5
-            if step < SHORTEST or idle > MOST_TOUCHES:
+            if step < SHORTEST or tries > MOST_TRIES:
                 return Ending.stuck
 
     def add(self, motion: OnCurve, seen: Seen) -> None:

@@ -28,9 +28,11 @@ lax = jax.lax
 
 ROOM = 128
 """Changes of contact of a motion: room for 64 contacts."""
-ROUNDS = 12
+ROUNDS = 16
 """Of Newton's method at the most."""
 ROUND_OFF = 1e-11
+SHORTENED = 0.7
+"""Most that a phase of contact becomes shorter in a step of it, over its length."""
 FARTHEST = 0.5
 """Longest step of Newton's method, over the size of the motion."""
 MEASURED = 1e-10
@@ -237,10 +239,21 @@ def _newton(rigs: _Rigs, search: _Search) -> tuple[_Search, Motion]:
 
     far = jnp.sqrt(jnp.sum(change**2, axis=0))
     limit = jnp.where(jnp.any(used, axis=0), FARTHEST, jnp.inf)
-    moved, delays, shift = parts(change * jnp.minimum(1.0, limit / jnp.where(far > 0, far, 1.0)))
+    moved, delays, shift = parts(change)
     delays = late + delays
-    error = jnp.maximum(far, jnp.max(jnp.abs(delays), axis=0, initial=0.0))
-    shrinks = (search.rounds < 4) | (error < search.error / 2)
+    # No phase becomes much shorter in one round: far away the whole step is taken in part.
+    none = jnp.zeros_like(last)[None]
+    ends = jnp.concatenate([tries.events.section[None], search.times, rigs.until[None]])
+    lengths, shorter = (
+        jnp.diff(ends, axis=0),
+        -jnp.diff(jnp.concatenate([none, delays, none]), axis=0),
+    )
+    part = jnp.where(shorter > 0, SHORTENED * lengths / jnp.where(shorter > 0, shorter, 1.0), 1.0)
+    part = jnp.minimum(limit / jnp.where(far > 0, far, 1.0), jnp.min(part, axis=0, initial=1.0))
+    part = jnp.minimum(part, 1.0)
+    moved, delays, shift = part * moved, part * delays, part * shift
+    error = jnp.maximum(far, jnp.max(jnp.abs(delays), axis=0, initial=0.0) / part)
+    shrinks = (search.rounds < 4) | (error < search.error / 2) | (part < 1.0)
     good = jnp.isfinite(error) & search.going
     takes = good & (shrinks | (error < 1e-8))
     state_along, times_along, parameter_along = parts(along)
