@@ -7,7 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.branches.contacts import Contacts, same
+from vibrojax.branches.contacts import Contacts, pairs, same, without
+
+SHALLOW = 1e-4
+"""Drive angle, rad, of a contact that may be too shallow for a march to count."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +99,16 @@ class Touch(NamedTuple):
 
 
 def fits(motion: OnCurve, seen: Seen) -> bool:
-    """Whether a motion keeps to its contacts."""
-    return seen.fits and same(motion.contacts, motion.times, seen.contacts, seen.times)
+    """Whether a motion keeps to its contacts; a march may miss the shallowest."""
+    if not seen.fits:
+        return False
+    if same(motion.contacts, motion.times, seen.contacts, seen.times):
+        return True
+    short = [pair for pair in pairs(motion.contacts, motion.times) if np.ptp(pair.times) < SHALLOW]
+    return any(
+        same(*without(motion.contacts, motion.times, gone), seen.contacts, seen.times)
+        for gone in ([pair] for pair in short)
+    )
 
 
 Steps = Generator[Ask | Look, Any, Any]

@@ -24,8 +24,12 @@ CLOSES = 0.3
 """Share of its duration that is left to a pair at the next step, where it may vanish."""
 LONGEST_TOUCH = 0.3
 """Duration, rad, of the first contact that is tried behind a touch."""
+BEHIND = 1e-2
+"""How far a touch may lie behind the last point: contacts too shallow to count are not seen."""
 TOGETHER = 1e-7
 """Arclength within which touches happen at once."""
+SHORT = 1e-3
+"""Drive angle, rad, of a contact that is as good as none at a touch."""
 LEAST_WAY = 0.02
 """Arclength behind a touch that is tried at the least."""
 
@@ -99,8 +103,20 @@ def vanish(search: CurveSearch, last: OnCurve, step: float) -> Steps:
             continue
         touch = replace(touch, family=last.family + 1, way=abs(gone))
         (seen,) = yield Look([touch])
+        if not _only_touches(touch, seen):
+            continue
         return Passed([touch], [seen], Touch(0, False, pair.places, pair.stop))
     return None
+
+
+def _only_touches(touch: OnCurve, seen: Seen) -> bool:
+    """Whether a motion keeps to its contacts, but for those that it just touches."""
+    if not seen.fits:
+        return False
+    extra = new_pairs(touch.contacts, touch.times, seen.contacts, seen.times)
+    if extra is None:
+        return False
+    return all(np.ptp(pair.times) < SHORT for pair in extra)
 
 
 def touch_between(
@@ -125,7 +141,7 @@ def touch_between(
         gone = search.along(last, touch.state - last.state, touch.parameter - last.parameter)
         # Before the touch the stop came nearer and nearer.
         touch = touch if touch.height_along > 0 else touch.reversed()
-        if -TOGETHER < gone < 1.2 * apart + TOGETHER and _goes_on(search, last, touch):
+        if -BEHIND < gone < 1.2 * apart + TOGETHER and _goes_on(search, last, touch):
             found.append((gone, pair.stop, angle, touch))
     if not found:
         return None

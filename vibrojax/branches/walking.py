@@ -114,10 +114,21 @@ class Walk:
         """Take a touch and what is behind it as points; says whether there is one."""
         if passed is None:
             return False
+        touch = passed.motions[0]
+        while len(self.points) > 1 and self.is_behind(touch, self.points[-1]):
+            self.points.pop()
+            self.seen.pop()
         self.touches.append(passed.touch._replace(at=len(self.points)))
         for motion, seen in zip(passed.motions, passed.seen, strict=True):
             self.add(motion, seen)
         return True
+
+    def is_behind(self, touch: OnCurve, last: OnCurve) -> bool:
+        """Whether a touch at which a contact begins lies behind a point, if only a little."""
+        if touch.family != last.family or touch.contacts != last.contacts:
+            return False
+        change = touch.state - last.state, touch.parameter - last.parameter
+        return self.search.along(last, *change) < 0
 
     def verify(self, ahead: list[OnCurve]) -> Steps:
         """Take motions that keep to their contacts; returns how many, or that the curve closed."""
