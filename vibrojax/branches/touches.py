@@ -13,6 +13,7 @@ from vibrojax.branches.contacts import (
     is_ordered,
     new_pairs,
     pairs,
+    same,
     with_pairs,
     with_peak,
     without,
@@ -116,7 +117,9 @@ def _only_touches(touch: OnCurve, seen: Seen) -> bool:
     extra = new_pairs(touch.contacts, touch.times, seen.contacts, seen.times)
     if extra is None:
         return False
-    return all(np.ptp(pair.times) < SHORT for pair in extra)
+    kept = without(seen.contacts, seen.times, extra)
+    shallow = all(np.ptp(pair.times) < SHORT for pair in extra)
+    return shallow and same(touch.contacts, touch.times, *kept)
 
 
 def touch_between(
