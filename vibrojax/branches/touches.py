@@ -29,7 +29,7 @@ BEHIND = 1e-2
 """How far a touch may lie behind the last point: contacts too shallow to count are not seen."""
 TOGETHER = 1e-7
 """Arclength within which touches happen at once."""
-SHORT = 1e-3
+SHORT = 1e-4
 """Drive angle, rad, of a contact that is as good as none at a touch."""
 LEAST_WAY = 0.02
 """Arclength behind a touch that is tried at the least."""
@@ -85,7 +85,7 @@ def vanish(search: CurveSearch, last: OnCurve, step: float) -> Steps:
     if not near:
         return None
     together = [each for each in near if each[0] <= 2 * near[0][0]]
-    for group in [together, near[:1]][len(together) == 1 :]:
+    for group in [near[:1], together][: len(together)]:
         way, pair = group[0]
         contacts, times = without(last.contacts, last.times, [p for _, p in group])
         rate = without(last.contacts, last.times_along, [p for _, p in group])[1]
