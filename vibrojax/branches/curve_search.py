@@ -12,6 +12,8 @@ ACCURATE = 1e-9
 """Largest last correction of a motion that counts as solved for."""
 COLLAPSED = 0.1
 """Share of its duration below which a pair is taken to have vanished."""
+BOUNCED = 1.5
+"""By how much a pair may come to last longer where it was about to vanish."""
 FARTHEST = 0.16
 """Farthest in arclength that a tangent is followed for a guess."""
 
@@ -75,14 +77,21 @@ class CurveSearch:
         forward = self.along(last, found.state_along, found.parameter_along)
         return found if forward >= 0 else found.reversed()
 
-    def collapses(self, last: OnCurve, found: OnCurve) -> bool:
-        """Whether a pair has all but vanished: of no duration it fits everywhere."""
+    def collapses(self, last: OnCurve, found: OnCurve, *, ahead: bool = False) -> bool:
+        """Whether a pair has all but vanished: of no duration it fits everywhere.
+
+        `ahead` of the last motion also whether it bounced back from where it would have.
+        """
         if last.contacts.stops != found.contacts.stops:
             return False
-        both = zip(
-            pairs(last.contacts, last.times), pairs(found.contacts, found.times), strict=True
-        )
-        return any(np.ptp(b.times) < COLLAPSED * np.ptp(a.times) for a, b in both)
+        before, after = pairs(last.contacts, last.times), pairs(found.contacts, found.times)
+        for pair, other in zip(before, after, strict=True):
+            lasted, lasts = np.ptp(pair.times), np.ptp(other.times)
+            shrinks = last.times_along[pair.places[1]] < last.times_along[pair.places[0]]
+            bounces = ahead and shrinks and lasts > BOUNCED * lasted
+            if lasts < COLLAPSED * lasted or bounces:
+                return True
+        return False
 
     def cut_well(self, motion: OnCurve) -> Steps:
         """Move the section away from where contact changes."""

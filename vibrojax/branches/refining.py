@@ -163,7 +163,7 @@ class Stretch:
                 break
             best, value = motion, number(motion)
             if abs(value) <= solved * scale or abs(high - low) <= 1e-13 * whole:
-                return Root(motion, at_touch=False, solved=True)
+                return Root(motion, self.is_at_touch(middle, whole), solved=True)
             # The end that stays twice counts half: else it would stay for long.
             if (value > 0) == (below > 0):
                 low, below, above = middle, value, above / 2 if side == 1 else above
@@ -171,9 +171,11 @@ class Stretch:
             else:
                 high, above, below = middle, value, below / 2 if side == -1 else below
                 side = -1
-        left = min(low, high) if self.touch is None else max(low, high)
-        at_touch = self.touch is not None and left < AT_TOUCH * whole
-        return Root(best, at_touch, solved=False)
+        return Root(best, self.is_at_touch(max(low, high), whole), solved=False)
+
+    def is_at_touch(self, place: float, whole: float) -> bool:
+        """Whether a contact is so short that there is none."""
+        return self.touch is not None and place < AT_TOUCH * whole
 
 
 class Root(NamedTuple):

@@ -177,7 +177,11 @@ class Walk:
         if found is not None and goal is None and not self.low <= found.parameter <= self.high:
             goal = self.high if found.parameter > self.high else self.low
             found = yield from self.search.solve(self.search.pinned(last, goal))
-        if found is None or not self.search.is_sound(found) or self.search.collapses(last, found):
+        if (
+            found is None
+            or not self.search.is_sound(found)
+            or self.search.collapses(last, found, ahead=True)
+        ):
             return None, step, None
         found, size = self.search.oriented(found, last), last.size
         cosine = self.search.along(last, found.state_along, found.parameter_along)

@@ -102,7 +102,8 @@ class KnownContacts:
                 return blocks, phase, angle, late, matrix, delays, peak
             stop = jnp.maximum(events.stop[k], 0)
             time = angle / self.frequency
-            signal, rows = once(lambda: self.read(blocks, phase, stop, time))
+            nearest = changes if peak is None else changes & (k == self.peak)
+            signal, rows = once(lambda: self.read(blocks, phase, stop, time, nearest))
             rates = lax.stop_gradient(signal) / self.frequency
             seen = [
                 once(lambda row=row: product(row.reshape(2, loop.n, 1, -1), matrix)) for row in rows
@@ -111,7 +112,6 @@ class KnownContacts:
             flips = changes
             if peak is not None:
                 # Where a stop comes nearest its rate is zero, not its depth.
-                nearest = changes & (k == self.peak)
                 flips = changes & ~nearest
                 bend = rates[2] / self.frequency
                 here = Peak(signal[0], seen[0], bend)
@@ -193,11 +193,11 @@ class KnownContacts:
         return self.loop.force.angular_frequency
 
     def read(
-        self, blocks: Blocks, phase: Phase, stop: Array, time: Array
+        self, blocks: Blocks, phase: Phase, stop: Array, time: Array, nearest: Array
     ) -> tuple[Array, list[Array]]:
         """What passes zero where a stop changes its contact, its rate and acceleration.
 
-        Also the rows that read it, and its rate if there are peaks.
+        Also the rows that read it, and its rate if there are peaks: lanes that are `nearest`.
         """
         outlook = self.loop.outlook
         assert outlook is not None
@@ -206,7 +206,14 @@ class KnownContacts:
         table, _ = outlook.signed(phase, touching)
         kinds = range(1 if self.peak is None else 2)
         rows = [table[:, :-1, kind].reshape(-1, *read.shape[1:]) for kind in kinds]
-        every = outlook.breach(touching, jnp.concatenate([read, *rows]))
+        every = jnp.concatenate([read, *rows])
+        if self.peak is not None and not outlook.pulls:
+            # Nearest to a touch is where the depth is largest, nearest to a release the push.
+            depth, push = jnp.split(every, 2, axis=1)
+            furthest = jnp.where(touching, push, depth)
+            every = jnp.where(nearest, furthest, outlook.breach(touching, every))
+        else:
+            every = outlook.breach(touching, every)
         chosen = pick(stop, jnp.moveaxis(every, 1, 0))
         parts = jnp.split(lax.stop_gradient(chosen[3:]), len(rows))
         return chosen[:3], parts

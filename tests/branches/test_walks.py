@@ -1,0 +1,186 @@
+"""Walks along exact motions: through every change of contact, the same from wherever they begin."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+import vibrojax as vj
+from vibrojax.branches import contacts
+
+TURN = 2 * np.pi
+DATA = Path(__file__).parents[1] / "data"
+LENGTH, AREA, YOUNG, DENSITY = 0.13, 15.6e-4, 210e9, 7800.0
+
+
+def rod(ratio, elements):
+    """A clamped-free rod of bar elements whose tip meets an elastic obstacle.
+
+    Vadcard, Batailly, Thouverez, J. Sound Vib. 531 (2022) 116950, Table 1; `ratio` is the stiffness
+    of the obstacle over that of the rod.
+    """
+    size = LENGTH / elements
+    stiffness, mass = np.zeros((2, elements + 1, elements + 1))
+    for e in range(elements):
+        at = np.ix_((e, e + 1), (e, e + 1))
+        stiffness[at] += YOUNG * AREA / size * np.array([[1, -1], [-1, 1]])
+        mass[at] += DENSITY * AREA * size / 6 * np.array([[2, 1], [1, 2]])
+    stiffness, mass = stiffness[1:, 1:], mass[1:, 1:]
+    squares, shapes = scipy.linalg.eigh(stiffness, mass)
+    damping = mass @ shapes @ np.diag(2 * 0.0075 * np.sqrt(squares)) @ shapes.T @ mass
+    tip = np.eye(elements)[-1]
+    law = vj.KelvinVoigt(ratio * YOUNG * AREA / LENGTH)
+    return vj.MatrixSystem(
+        mass,
+        damping,
+        stiffness,
+        stops=vj.Stop(None, 0.2e-3, law),
+        stop_map=tip[None],
+        drive=vj.PointForce(25e3),
+        input_map=tip,
+        response_map=tip,
+    )
+
+
+def special(branch, kind):
+    return [p.parameter * TURN for p in branch.special_points if p.kind == kind]
+
+
+@pytest.fixture(scope="module")
+def small_rods():
+    system = rod(400.0, 3)
+    ranges = (58000, 72000), (60500, 71000), (57000, 90000)
+    branches = [
+        vj.continue_response(system, frequency=vj.Range(low / TURN, high / TURN))
+        for low, high in ranges
+    ]
+    fine = vj.ContinuationSettings(longest_step=0.04)
+    bounds = vj.Range(58000 / TURN, 72000 / TURN)
+    return [*branches, vj.continue_response(system, frequency=bounds, settings=fine)]
+
+
+@pytest.mark.parametrize("kind", ["fold", "grazing", "period_doubling", "neimark_sacker"])
+def test_special_points_do_not_depend_on_range_and_step(small_rods, kind):
+    first, *others = small_rods
+    assert first.completed
+    assert all(point.refined for point in first.special_points)
+    assert kind != "fold" or len(first.folds) >= 2
+    for other in others:
+        np.testing.assert_allclose(special(other, kind), special(first, kind), rtol=1e-9)
+
+
+def test_points_keep_to_the_equations(small_rods):
+    branch = small_rods[0]
+    assert branch.exact_points.all()
+    assert branch.residual.max() < 1e-9
+    assert branch.contacts_per_period.max() > 1
+    assert len(branch.contact_changes) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.4, 4.0])
+def test_rod_of_the_peer(ratio):
+    """NLvib's harmonic balance: amplitudes within its truncation, turning points too."""
+    table = np.genfromtxt(DATA / f"rod_stiffness_{ratio:g}.csv", delimiter=",", names=True)
+    branch = vj.continue_response(rod(ratio, 20), frequency=vj.Range(57000 / TURN, 75000 / TURN))
+    np.testing.assert_allclose(
+        np.sort(branch.grazings) * TURN, [61513.782871, 63855.930823], rtol=1e-10
+    )
+    turning = {0.4: (63848.3, 64892.9), 4.0: (63855.86, 69450.2)}[ratio]
+    np.testing.assert_allclose(np.sort(branch.folds) * TURN, turning, rtol=1e-3)
+    omega, peak = table["omega"], table["A_peak"]
+    away = np.min(np.abs(omega[:, None] - np.array(turning)), axis=1) > 20
+    kept = np.flatnonzero(away & (omega > 57500) & (omega < 74500))[::10]
+    found = branch.resample(omega[kept] / TURN)["peak_ratio"].values * 25e3
+    difference = np.nanmin(np.abs(found / peak[kept, None] - 1), axis=1)
+    assert np.median(difference) < {0.4: 3e-5, 4.0: 2e-4}[ratio]
+    assert difference.max() < {0.4: 1e-3, 4.0: 3e-3}[ratio]
+
+
+def oscillator(damping, tension):
+    return vj.MatrixSystem(
+        [[1.0]],
+        [[0.1]],
+        [[1.0]],
+        response_map=[1.0],
+        stops=vj.Stop(None, 1.0, vj.KelvinVoigt(50.0, damping, tension=tension)),
+        stop_map=[[1.0]],
+        drive=vj.PointForce(0.3),
+        input_map=[1.0],
+    )
+
+
+def test_a_force_that_jumps_makes_a_corner():
+    bounds = vj.Range(0.8 / TURN, 1.5 / TURN)
+    branch = vj.continue_response(oscillator(8.0, tension=False), frequency=bounds)
+    assert branch.completed
+    (corner,) = special(branch, "touch_fold")
+    assert corner == pytest.approx(1.130436598485874, rel=1e-12)
+    assert corner == pytest.approx(branch.grazings.max() * TURN, rel=1e-12)
+    assert branch.folds.size == 2
+    data = branch.to_xarray()
+    assert data.sizes["fold"] == 2
+    assert data["fold_refined"].values.all()
+
+
+def test_stiff_stops_are_where_sweeps_settle():
+    rig = vj.default_rig(stiffness=3.89e5, damping_ratio=0.06, num_modes=2, base_amplitude=1e-3)
+    branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.7, 1.8))
+    assert branch.completed
+    sweep = vj.frequency_sweep(
+        rig,
+        frequency_ratio=np.linspace(0.7, 1.8, 23),
+        settings=vj.SweepSettings(refine_jumps=None),
+        progress=False,
+    )
+    compared = branch.compare(sweep)
+    settled = np.isfinite(compared["relative_difference"].values)
+    assert settled.sum() > 20
+    assert compared["on_branch"].values[settled].all()
+
+
+def test_a_motion_that_touches_from_the_start():
+    rig = vj.default_rig(stiffness=2e4, gap=1e-5, damping_ratio=0.1, num_modes=2)
+    branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.7, 0.9))
+    assert "gaps that were opened" in branch.sentence
+    assert branch.contacts_per_period.min() > 0
+    sweep = vj.frequency_sweep(rig, frequency_ratio=[0.7, 0.75, 0.9], progress=False)
+    assert branch.compare(sweep)["on_branch"].values.all()
+
+
+def test_comparing_refuses():
+    rig = vj.default_rig(num_modes=2)
+    branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.7, 0.8))
+    other = vj.frequency_sweep(rig, frequency=[10.0, 12.0], progress=False)
+    with pytest.raises(ValueError, match="compare them along the same axis"):
+        branch.compare(other)
+
+
+# --------------------------------------------------------------------------- contacts
+
+
+def test_a_motion_is_cut_elsewhere():
+    before = contacts.Contacts((0, 1, 1, 0), 0, 0.0)
+    times = np.array([1.0, 2.0, 3.0, 4.0])
+    after, moved, order = contacts.at_section(before, times, 2.5, TURN)
+    assert after == contacts.Contacts((1, 0, 0, 1), 3, 2.5)
+    np.testing.assert_allclose(moved, [3.0, 4.0, 1.0 + TURN, 2.0 + TURN])
+    again, back, _ = contacts.at_section(after, moved, TURN, TURN)
+    assert again == before._replace(section=0.0)
+    np.testing.assert_allclose(back, times[order][np.argsort(order)][[0, 1, 2, 3]])
+
+
+def test_pairs_come_and_go():
+    known = contacts.Contacts((0, 0), 0, 0.0)
+    times = np.array([1.0, 2.0])
+    pair = contacts.Pair(0, (0, 0), (1.4, 1.5))
+    more, met = contacts.with_pairs(known, times, [pair])
+    assert more.stops == (0, 0, 0, 0)
+    (found,) = contacts.new_pairs(known, times, more, met)
+    assert found.times == (1.4, 1.5)
+    fewer, left = contacts.without(more, met, [found])
+    assert fewer == known
+    np.testing.assert_array_equal(left, times)
+    assert contacts.same(fewer, left, known, times)
+    assert contacts.new_pairs(known, times, more._replace(first_phase=1), met) is None
