@@ -9,9 +9,10 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
-from vibrojax.branches.special_points import doubling_test, on_circle, torus_test
+from vibrojax.branches.special_points import doubling_test, on_circle
 from vibrojax.branches.walking import Walk
 
 ROUNDS = 60
@@ -35,17 +36,34 @@ class Special(NamedTuple):
     refined: bool
 
 
-Tests = dict[str, float]
+Number = Callable[[OnCurve], float]
 
 
-def tests_of(motion: OnCurve) -> Tests:
-    """Numbers that pass zero at special points, by kind."""
-    multipliers = np.linalg.eigvals(motion.matrix)[None] + 0j
-    return {
-        "fold": motion.parameter_along,
-        "period_doubling": float(doubling_test(multipliers)[0]),
-        "neimark_sacker": float(torus_test(multipliers)[0]),
-    }
+def _turning(motion: OnCurve) -> float:
+    return motion.parameter_along
+
+
+def _doubling(motion: OnCurve) -> float:
+    return float(doubling_test(np.linalg.eigvals(motion.matrix)[None] + 0j)[0])
+
+
+def _sizes(motion: OnCurve) -> Float[np.ndarray, " states"]:
+    """Moduli of the multipliers, the largest first."""
+    return np.sort(np.abs(np.linalg.eigvals(motion.matrix)))[::-1]
+
+
+def _crossing(place: int) -> Number:
+    """How far the multiplier of this place among the largest is outside of the circle."""
+    return lambda motion: float(_sizes(motion)[place]) - 1.0
+
+
+def _numbers(a: OnCurve, b: OnCurve) -> dict[str, Number]:
+    """Numbers that pass zero between two motions where there is a special point, by kind."""
+    numbers: dict[str, Number] = {"fold": _turning, "period_doubling": _doubling}
+    outside = sorted(int(np.sum(_sizes(motion) > 1)) for motion in (a, b))
+    if outside[1] - outside[0] >= 2:
+        numbers["neimark_sacker"] = _crossing(outside[0])
+    return numbers
 
 
 def _on_circle(motion: OnCurve) -> bool:
@@ -54,13 +72,13 @@ def _on_circle(motion: OnCurve) -> bool:
 
 def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
     """Find all special points of a walk, in order along it."""
-    tests = [tests_of(point) for point in walk.points]
     behind = {(t.at if t.entering else t.at - 1): t for t in walk.touches}
     found: list[Special] = []
-    for k, (a, b) in enumerate(pairwise(tests)):
-        for kind in a:
-            if a[kind] * b[kind] < 0:
-                special = yield from _between(walk, k, kind, a[kind], b[kind], behind.get(k))
+    for k, (a, b) in enumerate(pairwise(walk.points)):
+        for kind, number in _numbers(a, b).items():
+            ends = number(a), number(b)
+            if ends[0] * ends[1] < 0:
+                special = yield from _between(walk, k, kind, number, ends, behind.get(k))
                 if special is not None:
                     found.append(special)
     for touch in walk.touches:
@@ -71,13 +89,15 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
 
 
 def _between(
-    walk: Walk, k: int, kind: str, first: float, last: float, touch: Touch | None
+    walk: Walk,
+    k: int,
+    kind: str,
+    number: Number,
+    ends: tuple[float, float],
+    touch: Touch | None,
 ) -> Generator[Any, Any, Special | None]:
     """Refine the special point between the points k and k + 1."""
-    stretch = Stretch(walk, k, touch)
-    found = yield from stretch.root(
-        lambda motion: tests_of(motion)[kind], SOLVED[kind], first, last
-    )
+    found = yield from Stretch(walk, k, touch).root(number, SOLVED[kind], *ends)
     motion, refined = found.motion, found.solved
     if found.at_touch and touch is not None:
         if kind != "fold":
