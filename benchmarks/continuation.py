@@ -17,7 +17,6 @@ import numpy as np
 import vibrojax as vj
 from vibrojax.branches.along import frequency_paths
 from vibrojax.branches.over_range import trace_over
-from vibrojax.branches.tracing import make_exact
 from vibrojax.ensemble.lanes import lanes_of
 
 BOUNDS = (0.85, 1.31)
@@ -46,28 +45,35 @@ def batch(samples: int, lanes: int) -> dict:
     traced = trace()
     compile_trace = time.perf_counter() - start
     seconds, traced = best(trace)
-    lane = np.repeat(np.arange(lanes), [len(t.parameter) for t in traced])
-    depth = np.concatenate([t.depth for t in traced])
-    parameter = np.concatenate([t.parameter for t in traced])
-
-    def exact():
-        return make_exact(paths, lane, depth, parameter)
-
-    start = time.perf_counter()
-    exact()
-    compile_exact = time.perf_counter() - start
-    exact_seconds, points = best(exact)
+    points = sum(len(t.parameter) for t in traced)
     return {
         "samples": samples,
         "lanes": lanes,
-        "points": len(lane),
-        "ticks_per_point": sum(t.ticks for t in traced) / len(lane),
-        "traced_per_second": len(lane) / seconds,
-        "exact_with_stability_per_second": len(lane) / (seconds + exact_seconds),
-        "exact_share": float(points.valid.mean()),
-        "curve_seconds": seconds / lanes,
-        "first_call_trace": compile_trace,
-        "first_call_exact": compile_exact,
+        "points": points,
+        "ticks_per_point": sum(t.ticks for t in traced) / points,
+        "traced_per_second": points / seconds,
+        "first_call": compile_trace,
+    }
+
+
+def exact_batch(lanes: int) -> dict:
+    """Exact branches of several gaps at once: points with stability and all special points."""
+
+    def run():
+        gaps = np.linspace(0.2e-3, 0.8e-3, lanes)
+        return vj.continue_response(vj.default_rig, frequency_ratio=vj.Range(*BOUNDS), gap=gaps)
+
+    start = time.perf_counter()
+    run()
+    first = time.perf_counter() - start
+    seconds, branches = best(run)
+    points = sum(len(branch.values) for branch in branches)
+    return {
+        "lanes": lanes,
+        "points": points,
+        "solved_per_point": sum(branch.ticks for branch in branches) / points,
+        "points_per_second": points / seconds,
+        "first_call": first,
     }
 
 
@@ -100,10 +106,12 @@ def main() -> None:
     results: dict = {
         "machine": f"{platform.processor() or platform.machine()}, jax {jax.__version__}",
         "batches": [batch(n, lanes) for n, lanes in ((128, 32), (256, 32), (128, 1))],
+        "exact": exact_batch(32),
         "curve": whole_curve(),
     }
     for row in results["batches"]:
         print({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()})
+    print(results["exact"])
     print(results["curve"])
     if given.peers:
         import continuation_peers

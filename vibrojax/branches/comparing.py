@@ -45,7 +45,7 @@ def compare(branch: BranchPoints, sweep: FrequencyResponse) -> "xarray.Dataset":
         least = np.where(np.isnan(far), np.inf, far).min(axis=-1, initial=np.inf)
         same = swept["period"].transpose(*dims).values[:, inside] == branch.period
         differences[:, inside] = np.where(same, least, np.nan)
-    on_branch = (differences <= SAME).astype(np.int8)
+    on_branch = np.where(np.isnan(differences), -1, differences <= SAME).astype(np.int8)
     data = {
         "relative_difference": (dims, differences, described_as("relative_difference")),
         "on_branch": (dims, on_branch, described_as("on_branch")),

@@ -51,9 +51,9 @@ def continue_response(
 ) -> Branch | Branches:
     """Follow the periodic response along one number, through folds, stable and unstable.
 
-    The branch is traced by pseudo-arclength continuation of the condensed harmonic balance; with
-    linear stops every point is then made an exact solution between its contact times, with exact
-    Floquet multipliers, and so are its special points.
+    With linear stops the branch is walked along by pseudo-arclength from one set of contacts to the
+    next: every point is an exact solution between its contact times, with exact Floquet
+    multipliers, and so are its special points. Else the condensed harmonic balance is followed.
 
     Parameters:
         system: a system with stops, or a function from named numbers to one.

@@ -23,7 +23,8 @@ class ContinuationSettings(AbstractSettings):
     tolerance: float = eqx.field(static=True, default=1e-4)
     """Relative error to aim at, where motions are not exact."""
     method: HarmonicBalance | None = None
-    """`HarmonicBalance(samples=..., harmonics=...)`; None: by the tolerance."""
+    """`HarmonicBalance(samples=..., harmonics=...)` of motions that are not exact; None: by the
+    tolerance."""
     max_points: int = eqx.field(static=True, default=2000)
     """Most points of a branch."""
     longest_step: float = eqx.field(static=True, default=LONGEST_STEP)
