@@ -14,7 +14,7 @@ from vibrojax.branches.along import along_of
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continue_response import continue_response
 from vibrojax.branches.folds import Fold, fold_response
-from vibrojax.branches.points import SpecialPoint
+from vibrojax.branches.points import TURNS, SpecialPoint
 from vibrojax.branches.resampling import polynomial_weights
 from vibrojax.ensemble.ranges import Range
 from vibrojax.model.systems import AbstractSystem
@@ -261,7 +261,7 @@ class _Tracer(NamedTuple):
             folds = [
                 p
                 for p in branch.special_points
-                if p.kind == "fold"
+                if p.kind in TURNS
                 and _turn(branch, p) == turn
                 and _distance(p, guess) < BRIDGE_NEAR
             ]
@@ -269,7 +269,7 @@ class _Tracer(NamedTuple):
                 return points, "the fold ends here: beyond it no fold is near"
             nearest = min(folds, key=lambda p: _distance(p, guess))
             points.append((following, nearest))
-            smooth = [points[-1]] if nearest.initial_state is not None else []
+            smooth = [points[-1]] if nearest.kind == "fold" else []
             step = FIRST
         return points, "the points allowed did not suffice"
 
