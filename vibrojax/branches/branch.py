@@ -64,8 +64,9 @@ class Branch(BranchPoints, AbstractSaved):
         frequency): the least over the passages of the branch of the largest change of amplitude,
         rms and contact force; NaN for points of other periods and outside of the range.
         `on_branch` is 1 where it is 1e-6 or less, 0 where it is more (the point is of a branch of
-        its own, or one of the two is wrong), -1 where it is not known. Raises `ValueError` for a branch along another number than the
-        frequency axis of the sweep, or a sweep of several systems.
+        its own, or one of the two is wrong), -1 where it is not known. Raises `ValueError` for a
+        branch along another number than the frequency axis of the sweep, or a sweep of several
+        systems.
         """
         return compare(self, sweep)
 

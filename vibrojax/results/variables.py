@@ -80,7 +80,7 @@ VARIABLES = {
     "start_state": Variable("m, m/s", "State from which the search marched"),
     "rate": Variable("1/s", "Rate at which neighbours part, by drive period"),
     "relative_difference": Variable("1", "Distance of the sweep from the branch"),
-    "on_branch": Variable("1", "Whether the point is on the branch (1), not (0), or was not compared (-1)"),
+    "on_branch": Variable("1", "On the branch (1), not on it (0), not compared (-1)"),
     "relative_change": Variable("1", "Largest relative change when computed more finely"),
     "periods_marched": Variable("1", "Drive periods marched to settle"),
     "steps": Variable("1", "Steps taken to settle and measure"),
