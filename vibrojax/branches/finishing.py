@@ -73,10 +73,10 @@ def branch_of(
         attributes={
             "title": "vibrojax continuation",
             "rig": plan.description,
-            "samples": str(plan.samples),
             "vibrojax_version": version("vibrojax"),
             "jax_version": version("jax"),
-        },
+        }
+        | ({} if plan.exact else {"samples": str(plan.samples)}),
         path=path,
         depth=depth,
         curve=curve,

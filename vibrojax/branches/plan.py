@@ -23,7 +23,7 @@ class Plan(NamedTuple):
     period: int
     exact: bool
     samples: int
-    """Samples per drive period of the balance."""
+    """Samples per drive period of the balance; 0 where motions are exact."""
     harmonics: int | None
     """Harmonics kept; None: all."""
     max_points: int

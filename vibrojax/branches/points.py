@@ -103,7 +103,7 @@ class BranchPoints(eqx.Module):
     initial_state: Float[np.ndarray, "points states"]
     """(q, q') at drive phase 0, m and m/s."""
     special_points: tuple[SpecialPoint, ...]
-    """All refined special points, in order along the branch."""
+    """All special points, in order along the branch."""
     period: int = eqx.field(static=True)
     """Drive periods after which the motion repeats."""
     status: str = eqx.field(static=True)
@@ -111,9 +111,9 @@ class BranchPoints(eqx.Module):
     sentence: str = eqx.field(static=True)
     """The status in words, and any fallback that was needed."""
     ticks: int = eqx.field(static=True)
-    """Cost: linearised balances solved."""
+    """Cost: motions solved for; of balanced branches the linearised balances."""
     exact: bool = eqx.field(static=True)
-    """Whether points are made exact solutions between contact times, or left to the balance."""
+    """Whether points are exact solutions between contact times, or balanced."""
     exact_points: Bool[np.ndarray, " points"]
     """Which points are exact; the others are harmonic balance."""
     ratio_units: str = eqx.field(static=True)

@@ -47,8 +47,7 @@ class ContinuationSettings(AbstractSettings):
         """
         exact = is_exact(sample)
         method = self.method or HarmonicBalance()
-        # Of an exact solution the balance is only where it starts from.
-        samples = method.samples or 128 if exact else method.samples_for(self.tolerance)
+        samples = 0 if exact else method.samples_for(self.tolerance)
         return Plan(
             **place,
             period=self.period,

@@ -28,7 +28,7 @@ def switch_branch(
         labels=[branch.labels],
         period=2 * branch.period,
         exact=True,
-        samples=int(branch.attributes["samples"]),
+        samples=0,
         harmonics=None,
         max_points=settings.max_points,
         longest_step=settings.longest_step,

@@ -8,9 +8,7 @@ import numpy as np
 
 from vibrojax._tools.compiled import compiled
 from vibrojax.branches.continuation import Ending
-from vibrojax.steady.condensed import (
-    condensed_problem,
-)
+from vibrojax.steady.condensed import condensed_problem
 from vibrojax.steady.paths import AbstractPath
 from vibrojax.stepping.resonance import is_unbounded, undamped_at
 

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 BATCH = 64
-"""Points made exact at a time."""
-REPAIRS = 3
+"""Points computed at a time."""
 
 
 def take(tree, index):

@@ -15,7 +15,6 @@ from vibrojax._tools.warn import warn
 from vibrojax.model.states import ABOUT_STATES, as_state
 from vibrojax.model.systems import AbstractSystem, as_arrays, check_is_system, equation_kinds
 from vibrojax.steady.balanced_motion import balanced_strobes, read_balanced, solve_balance
-from vibrojax.steady.batches import REPAIRS
 from vibrojax.steady.contact_times import Events, Orbit, follow_events
 from vibrojax.steady.exact_point import Guess, exact_point
 from vibrojax.steady.implicit import compile_ahead, frozen, with_columns
@@ -30,6 +29,8 @@ from vibrojax.stepping.measures import MOST_EVENTS
 
 lax = jax.lax
 
+REPAIRS = 3
+"""Searches anew with the contacts that were found, where they are others than guessed."""
 MOST_RESIDUAL = 0.1
 """Residual of a balance on a finer grid at which it is no motion."""
 
