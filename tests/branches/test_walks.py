@@ -50,7 +50,7 @@ def special(branch, kind):
 @pytest.fixture(scope="module")
 def small_rods():
     system = rod(400.0, 3)
-    ranges = (58000, 72000), (60500, 71000), (57000, 90000)
+    ranges = (58000, 72000), (60500, 90000)
     branches = [
         vj.continue_response(system, frequency=vj.Range(low / TURN, high / TURN))
         for low, high in ranges
@@ -79,7 +79,7 @@ def test_points_keep_to_the_equations(small_rods):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", [0.4, 4.0])
+@pytest.mark.parametrize("ratio", [4.0])
 def test_rod_of_the_peer(ratio):
     """NLvib's harmonic balance: amplitudes within its truncation, turning points too."""
     table = np.genfromtxt(DATA / f"rod_stiffness_{ratio:g}.csv", delimiter=",", names=True)

@@ -59,7 +59,7 @@ class SpecialPoint(eqx.Module):
     """(q, q') at drive phase 0; None where the motion is contact-free."""
     after: int
     """Index of the branch point before it."""
-    refined: bool
+    refined: bool = True
     """Whether it was solved for; else it is the nearest motion that was found."""
 
     def __float__(self) -> float:

@@ -15,8 +15,8 @@ from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.orbit_curve import ROOM, Condition, Try, read_on_curve, solve_on_curve
 from vibrojax.steady.paths import AbstractPath, FrequencyPath, OpenedPath, localise
 
-WIDTHS = (1, 32)
-"""Motions solved for in one call."""
+WIDTH, FEW = 32, 16
+"""Motions solved for in one call; up to a few go one by one, which compiles nothing more."""
 LOOKED_AT = 16
 """Motions marched in one call."""
 
@@ -177,13 +177,12 @@ def _tries(rigs: CurveRigs, scales: np.ndarray, asks: list[Ask]) -> LaneTable:
     return table
 
 
-def _width(rows: int, widths: tuple[int, ...] = WIDTHS) -> int:
-    return next((w for w in widths if w >= rows), widths[-1])
+def _width(rows: int) -> int:
+    return 1 if rows <= FEW else WIDTH
 
 
-def _in_parts(rows: int, widths: tuple[int, ...]):
-    """Index of rows by parts of one of these widths, filled up with the last."""
-    width = _width(rows, widths)
+def _in_parts(rows: int, width: int):
+    """Index of rows by parts of a width, filled up with the last; and how many are their own."""
     for first in range(0, rows, width):
         yield np.minimum(np.arange(first, first + width), rows - 1), min(width, rows - first)
 
@@ -200,7 +199,7 @@ def _solved(
     if not any(fits):
         return [_nothing(a) for a in asks]
     found: list[OnCurve] = []
-    for rows, count in _in_parts(len(kept), WIDTHS):
+    for rows, count in _in_parts(len(kept), _width(len(kept))):
         own = [kept[i] for i in rows]
         part = _solve(rigs, lanes[rows], scales[rows], own)
         if rigs.moves:
@@ -264,7 +263,7 @@ def _seen(
 ) -> list[Seen]:
     """What marches of motions over their period show."""
     found: list[Seen] = []
-    for rows, count in _in_parts(len(motions), (LOOKED_AT,)):
+    for rows, count in _in_parts(len(motions), LOOKED_AT):
         own = [motions[i] for i in rows]
         asks = [Ask(m.contacts, m.times, m.state, m.parameter) for m in own]
         table = rigs.at(lanes[rows], np.array([m.parameter for m in own]))
