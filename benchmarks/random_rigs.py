@@ -73,15 +73,7 @@ def maker(modes: int, stops: int) -> Callable[..., vj.ImpactingBeam]:
     """A function that makes rigs of a kind from their numbers."""
 
     def make(**given: Any) -> vj.ImpactingBeam:
-        beam = vj.Cantilever(
-            length=0.2,
-            width=0.025,
-            thickness=1e-3,
-            youngs_modulus=130e9,
-            density=8250.0,
-            taper=given["taper"],
-            mass_ratio=given["mass_ratio"],
-        )
+        beam = vj.default_rig(taper=given["taper"], mass_ratio=given["mass_ratio"]).beam
         every = []
         for k in range(stops):
             place, gap, stiffness, damping = (given[f"{name}_{k}"] for name in OF_STOP)

@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from vibrojax.branches.contacts import Contacts, at_section, best_section
 from vibrojax.branches.continuation import Ending
-from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Steps, fits
+from vibrojax.branches.curve_search import ACCURATE, CurveSearch
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Steps, at_value, fits
 from vibrojax.branches.walking import FIRST, Walk
 
 FREE = Contacts((), 0, 0.0)
@@ -20,8 +20,7 @@ TRIES = 6
 def free_flight(search: CurveSearch, value: float) -> Steps:
     """Solve for the motion without contact, and whether it has none."""
     rest = np.zeros(len(search.unit))
-    guess = Ask(FREE, np.zeros(0), rest, value, by_parameter=1.0, value=value)
-    found = yield from search.solve(guess)
+    found = yield from search.solve(at_value(FREE, np.zeros(0), rest, value))
     if found is None:
         return None, False
     (seen,) = yield Look([found])
@@ -43,10 +42,10 @@ def motion_near(search: CurveSearch, state: Float[np.ndarray, " states"], value:
         (seen,) = yield Look([met], [section])
         contacts, times, _ = at_section(contacts, times, section, search.whole)
         guess = replace(met, contacts=contacts, times=times, state=seen.at_section)
-        found = yield Ask(contacts, times, guess.state, value, by_parameter=1.0, value=value)
+        found = yield at_value(contacts, times, guess.state, value)
         if not np.isfinite(found.error):
             return None
-        if search.is_sound(found) and found.error <= 1e-9:
+        if search.is_sound(found) and found.error <= ACCURATE:
             (seen,) = yield Look([found])
             if fits(found, seen):
                 return found
@@ -61,9 +60,7 @@ def opened(walk: Walk, free: OnCurve, reach: float) -> Steps:
     """
     widest = WIDER * reach + 1e-12
     walk.low, walk.high = 0.0, 1.2 * widest
-    start = yield from walk.search.solve(
-        Ask(FREE, np.zeros(0), free.state, widest, by_parameter=1.0, value=widest)
-    )
+    start = yield from walk.search.solve(at_value(FREE, np.zeros(0), free.state, widest))
     if start is None:
         return None
     ending = yield from walk.go(start, -1.0)

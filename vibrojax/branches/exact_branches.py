@@ -11,7 +11,7 @@ from vibrojax.branches.beginning import doubled, free_flight, motion_near, opene
 from vibrojax.branches.continuation import Ending
 from vibrojax.branches.exact_results import columns_of_motions, curve_of, special_results
 from vibrojax.branches.finishing import branch_of, nothing
-from vibrojax.branches.on_curve import Ask, OnCurve
+from vibrojax.branches.on_curve import OnCurve, at_value
 from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import BranchPoints
 from vibrojax.branches.refining import special_points_of
@@ -146,7 +146,7 @@ def _by_opening(
 
     def there(k: int) -> Any:
         end = ends[k]
-        ask = Ask(end.contacts, end.times, end.state, plan.low, by_parameter=1.0, value=plan.low)
+        ask = at_value(end.contacts, end.times, end.state, plan.low)
         return (yield from walks[k].search.solve(ask))
 
     again = {k: _job(walks[k], rigs, k, there(k)) for k, end in ends.items() if end is not None}

@@ -27,7 +27,7 @@ def columns_of_motions(
     measures = jax.tree.map(lambda *a: np.stack(a), *(s.measures for s in seen))
     return {
         "values": values,
-        "floquet_multipliers": np.linalg.eigvals(np.array([m.matrix for m in motions])) + 0j,
+        "floquet_multipliers": np.array([m.multipliers for m in motions]),
         "residual": np.array([m.error for m in motions]),
         "initial_state": np.array([s.initial_state for s in seen]),
         "exact_points": np.ones(len(values), bool),

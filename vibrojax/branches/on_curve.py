@@ -2,10 +2,11 @@
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from vibrojax.branches.contacts import Contacts, pairs, same, without
 
@@ -44,6 +45,11 @@ class OnCurve:
             parameter_along=-self.parameter_along,
             height_along=-self.height_along,
         )
+
+    @cached_property
+    def multipliers(self) -> Complex[np.ndarray, " states"]:
+        """Floquet multipliers."""
+        return np.linalg.eigvals(self.matrix) + 0j
 
     @property
     def size(self) -> float:
@@ -109,6 +115,11 @@ def fits(motion: OnCurve, seen: Seen) -> bool:
         same(*without(motion.contacts, motion.times, gone), seen.contacts, seen.times)
         for gone in ([pair] for pair in short)
     )
+
+
+def at_value(contacts: Contacts, times: np.ndarray, state: np.ndarray, value: float) -> Ask:
+    """Ask for the motion at a value of the parameter near a guess."""
+    return Ask(contacts, times, state, value, by_parameter=1.0, value=value)
 
 
 Steps = Generator[Ask | Look, Any, Any]

@@ -44,12 +44,12 @@ def _turning(motion: OnCurve) -> float:
 
 
 def _doubling(motion: OnCurve) -> float:
-    return float(doubling_test(np.linalg.eigvals(motion.matrix)[None] + 0j)[0])
+    return float(doubling_test(motion.multipliers[None])[0])
 
 
 def _sizes(motion: OnCurve) -> Float[np.ndarray, " states"]:
     """Moduli of the multipliers, the largest first."""
-    return np.sort(np.abs(np.linalg.eigvals(motion.matrix)))[::-1]
+    return np.sort(np.abs(motion.multipliers))[::-1]
 
 
 def _crossing(place: int) -> Number:
@@ -67,7 +67,7 @@ def _numbers(a: OnCurve, b: OnCurve) -> dict[str, Number]:
 
 
 def _on_circle(motion: OnCurve) -> bool:
-    return bool(on_circle(np.linalg.eigvals(motion.matrix)[None] + 0j, NEAR_CIRCLE)[0])
+    return bool(on_circle(motion.multipliers[None], NEAR_CIRCLE)[0])
 
 
 def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:

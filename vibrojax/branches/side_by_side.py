@@ -191,17 +191,12 @@ def _solved(
     rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
 ) -> list[OnCurve]:
     """Motions that were asked for; their error says whether they are any."""
-    fits = [len(a.times) <= ROOM for a in asks]
-    kept = [
-        a if good else asks[fits.index(True)] if any(fits) else None
-        for a, good in zip(asks, fits, strict=True)
-    ]
-    if not any(fits):
-        return [_nothing(a) for a in asks]
-    found: list[OnCurve] = []
-    for rows, count in _in_parts(len(kept), _width(len(kept))):
-        own = [kept[i] for i in rows]
-        part = _solve(rigs, lanes[rows], scales[rows], own)
+    found = [_nothing(ask) for ask in asks]
+    fit = np.flatnonzero([len(ask.times) <= ROOM for ask in asks])
+    for rows, count in _in_parts(len(fit), _width(len(fit))):
+        at = fit[rows]
+        own = [asks[i] for i in at]
+        part = _solve(rigs, lanes[at], scales[at], own)
         if rigs.moves:
             # Once more, the rig taken from where the motions are.
             again = [
@@ -210,9 +205,10 @@ def _solved(
                 else a
                 for a, m in zip(own, part, strict=True)
             ]
-            part = _solve(rigs, lanes[rows], scales[rows], again)
-        found += part[:count]
-    return [m if good else _nothing(a) for m, a, good in zip(found, asks, fits, strict=True)]
+            part = _solve(rigs, lanes[at], scales[at], again)
+        for i, motion in zip(at[:count], part, strict=False):
+            found[i] = motion
+    return found
 
 
 def _nothing(ask: Ask) -> OnCurve:

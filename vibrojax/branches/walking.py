@@ -206,18 +206,9 @@ class Walk:
         moved = [a != b for a, b in zip(contacts.stops, found.contacts.stops, strict=True)]
         if sum(moved) != 2:
             return None
-        by_times = ask.by_times
-        return (
-            yield from self.search.solve(
-                ask._replace(
-                    contacts=contacts,
-                    times=times,
-                    state=found.state,
-                    parameter=found.parameter,
-                    by_times=by_times,
-                )
-            )
-        )
+        near = ask._replace(contacts=contacts, times=times)
+        near = near._replace(state=found.state, parameter=found.parameter)
+        return (yield from self.search.solve(near))
 
     def turns_twice(self, a: OnCurve, b: OnCurve, step: float) -> bool:
         """Whether the parameter may turn round and back between two motions."""

@@ -88,9 +88,8 @@ class Motion(NamedTuple):
     parameter_along: Lane
     matrix: Float[Array, "states states *lanes"]
     """Jacobian of the period map at the section."""
-    height: Lane
-    """What would have to pass zero at the peak, m."""
     height_along: Lane
+    """Along the curve, of what would have to pass zero at the peak, m."""
     bend: Lane
     """Its second derivative by the drive angle, m."""
 
@@ -100,11 +99,8 @@ class Read(NamedTuple):
 
     initial_state: States
     """(q, q') at drive phase 0."""
-    end: States
-    """Where the march over its period comes to from the section, times `unit`."""
     at_section: States
     """State at another section, times `unit`."""
-    rounds: Int[Array, "*lanes"]
     measures: Measures
 
 
@@ -267,7 +263,6 @@ def _newton(rigs: _Rigs, search: _Search) -> tuple[_Search, Motion]:
         times_along=times_along,
         parameter_along=parameter_along,
         matrix=now.matrix,
-        height=now.height,
         height_along=jnp.sum(now.height_row * state_along, axis=0) + height_push * parameter_along,
         bend=now.bend,
     )
@@ -302,7 +297,6 @@ def solve_on_curve(rigs: LaneTable, tries: LaneTable, period: int) -> LaneTable:
         0 * ask.times,
         none,
         matrix,
-        height=none,
         height_along=none,
         bend=none,
     )
@@ -339,8 +333,6 @@ def read_on_curve(
     ruler = Ruler(jnp.full_like(far, MEASURED), far)
     phases, force = own.tables(ask.parameter, ask.events.section)
     state = ask.state / ask.unit
-    end, rounds, measures = exact_contact.march(
-        phases, force, state, period, ruler=ruler, room=ROOM
-    )
+    _, _, measures = exact_contact.march(phases, force, state, period, ruler=ruler, room=ROOM)
     assert measures is not None
-    return table_of(Read(initial, ask.unit * end, state_at(section), rounds, measures))
+    return table_of(Read(initial, state_at(section), measures))
