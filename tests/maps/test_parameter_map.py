@@ -98,7 +98,7 @@ def test_the_dataset_says_what_it_is(crossed):
     assert crossed.lane_status.attrs["flag_meanings"].split() == [
         "settled",
         "aperiodic",
-        "diverged",
+        "lost",
         "failed",
         "missing",
     ]

@@ -13,7 +13,7 @@ GAP = np.array([2e-4, 3e-4, 5e-4, 8e-4])
 TAPER = np.array([0.0, 0.25, 0.5])
 STIFFNESS = np.array([100.0, 1000.0, 10000.0, 100000.0])
 FREQUENCY = np.linspace(0.8, 1.4, 31)
-LANES = "settled aperiodic diverged failed missing"
+LANES = "settled aperiodic lost failed missing"
 AMPLITUDE = "Half peak-to-peak displacement of the tip over drive"
 RATIO = "Drive frequency over first natural frequency"
 

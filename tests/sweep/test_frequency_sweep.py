@@ -356,3 +356,25 @@ def test_stops_that_the_method_cannot_do(rig):
         vj.frequency_sweep(
             one, frequency_ratio=[1.0], settings=vj.SweepSettings(stepper=vj.ExactContact())
         )
+
+
+@pytest.mark.slow
+def test_what_is_given_up_is_said_to_be(rig):
+    few = vj.ExactContact(max_rounds=2)
+    one, ratios = rig(num_modes=1), [0.9, 1.6]
+    settings = vj.SweepSettings(direction="forward", stepper=few)
+    found = vj.frequency_sweep(one, frequency_ratio=ratios, settings=settings)
+    gave_up, settled = vj.Status.gave_up.value, vj.Status.settled.value
+    assert found.status[0].tolist() == [gave_up, settled]
+    assert np.isnan(found.amplitude_ratio[0]).tolist() == [True, False]
+    assert "1 gave_up" in repr(found)
+    assert "max_rounds" in vj.Status.gave_up.sentence
+    points = vj.regimes(
+        one,
+        frequency_ratio=ratios,
+        settings=vj.RegimeSettings(stepper=few, periods=40, transient=20, lyapunov=False),
+    )
+    assert (points["status"] == gave_up).tolist() == [True, False]
+    assert (points["regime"] == vj.Regime.gave_up.value).tolist() == [True, False]
+    with pytest.raises(ValueError, match="max_rounds must be a whole number of at least 1, got 0"):
+        vj.ExactContact(max_rounds=0)

@@ -56,8 +56,9 @@ def sweep_table(
     inside = f" ({longer} of period 2 or longer)" if longer else ""
     points = f"{counts[Status.settled]} settled{inside}, {counts[Status.aperiodic]} aperiodic"
     points += f", {counts[Status.diverged]} diverged"
-    if counts[Status.unbounded]:
-        points += f", {counts[Status.unbounded]} unbounded"
+    for ended in (Status.unbounded, Status.gave_up):
+        if counts[ended]:
+            points += f", {counts[ended]} {ended.name.replace('_', ' ')}"
     say(f"points, {status.size}", points)
     total, compiling, writing = times
     say("time", f"{total:.1f} s (compiling {compiling:.1f} s), writing {writing:.1f} s")

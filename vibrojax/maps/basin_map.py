@@ -79,7 +79,7 @@ class BasinFractions(AbstractMapResponse):
         return Layout(
             VARIABLES,
             ("most_attractors", "least_periodic_share", "natural_frequency"),
-            ("periodic", "aperiodic", "diverged"),
+            ("periodic", "aperiodic", "lost"),
             (),
             further=64 * self.starts.size,
         )

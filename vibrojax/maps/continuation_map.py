@@ -48,7 +48,7 @@ class ContinuationMap(AbstractMapResponse):
     @property
     def layout(self) -> Layout:
         """Variables of a `Branch` and its stability; where it folds and first touches."""
-        words = ("completed", "incomplete", "diverged")
+        words = ("completed", "incomplete", "lost")
         offered = (
             "peak_amplitude_ratio",
             "peak_frequency",

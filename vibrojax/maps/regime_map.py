@@ -15,13 +15,13 @@ from vibrojax.maps.responses import (
     Grid,
     Layout,
     Points,
+    worst_of,
 )
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.regime.poincare_map import PoincareMap
 from vibrojax.regime.regime_points import SWEPT, carried_points
 from vibrojax.regime.settings import RegimeSettings
-from vibrojax.results.status import Status
 from vibrojax.stepping.stepper import AbstractStepper
 
 VARIABLES = (
@@ -111,6 +111,6 @@ class RegimeMap(AbstractMapResponse):
             curves={name: found[name] for name in self.layout.variables},
             numbers={"natural_frequency": poincare.natural_frequency},
             points=Points(found["state"], found["period"]),
-            lane_status=np.minimum(found["status"].max(axis=(1, 2)), Status.diverged.value),
+            lane_status=worst_of(found["status"]),
             lane_steps=np.full(lanes, -1, np.int64),
         )

@@ -10,14 +10,21 @@ from jaxtyping import Bool, Float, Int
 from vibrojax._tools.described import described
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem
-from vibrojax.results.status import Status
+from vibrojax.results.status import LOST, Status
 from vibrojax.stepping.stepper import AbstractStepper
 
-MARCHED = Status.settled.name, Status.aperiodic.name, Status.diverged.name
-"""How lanes end that are marched: as bad as their worst point, unbounded ones as diverged."""
+MARCHED = Status.settled.name, Status.aperiodic.name, "lost"
+"""How lanes end that are marched: as bad as their worst point. Lost are those with a point that
+diverged, is unbounded or was given up."""
 STATUS = tuple(status.name for status in Status)
 WHOLE = ("period", "status", "periods_marched", "steps", "regime")
 """Variables that are whole numbers."""
+
+
+def worst_of(status: Int[np.ndarray, "lanes ..."]) -> Int[np.ndarray, " lanes"]:
+    """Return how lanes end whose points ended so, as an index into `MARCHED`."""
+    ends = np.where(np.isin(status, LOST), MARCHED.index("lost"), status)
+    return ends.reshape(len(status), -1).max(axis=1)
 
 
 class Grid(NamedTuple):

@@ -12,6 +12,7 @@ from vibrojax.maps.responses import (
     Grid,
     Layout,
     Points,
+    worst_of,
 )
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem
@@ -60,7 +61,6 @@ class SweepMap(AbstractMapResponse):
         swept = sweep_rigs(self.settings.plan(sample, grid.axis, grid.values), maker.rigs(index))
         jumps = numbers_of_jumps(swept)
         curves = swept.curves
-        worst = np.minimum(curves["status"].max(axis=(1, 2)), Status.diverged.value)
         settled = curves["status"] == Status.settled.value
         return Computed(
             curves=curves,
@@ -70,7 +70,7 @@ class SweepMap(AbstractMapResponse):
                 "natural_frequency": swept.natural_frequency,
             },
             points=Points(swept.states, np.where(settled, curves["period"], 0)),
-            lane_status=worst,
+            lane_status=worst_of(curves["status"]),
             lane_steps=curves["steps"].sum(axis=(1, 2), dtype=np.int64),
             folds={n: Folds(*before) for n, before in before_jumps(swept).items()},
         )

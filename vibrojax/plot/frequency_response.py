@@ -25,7 +25,7 @@ from vibrojax.plot.style import (
     new_picture,
 )
 from vibrojax.results.axes import axes_of, axis_scale
-from vibrojax.results.status import Status
+from vibrojax.results.status import LOST, Status
 from vibrojax.results.variables import label_of
 
 MAX_MARKERS = 30
@@ -36,6 +36,7 @@ UNSETTLED = {
     Status.aperiodic: ("no period found", HOLLOW | {"marker": ">", "markeredgewidth": 1.4}),
     Status.diverged: ("diverged", GONE),
     Status.unbounded: ("unbounded", GONE),
+    Status.gave_up: ("given up", GONE),
 }
 """What the legend says of points that did not settle, and how it shows them."""
 
@@ -134,7 +135,7 @@ def _draw_curve(
     axes.plot(x[shown], y[shown], markersize=6.5, **marks)
     lost = status == Status.aperiodic.value
     axes.plot(x[lost], y[lost], markersize=8, markeredgewidth=1.4, **(marks | HOLLOW))
-    gone = x[np.isin(status, [Status.diverged.value, Status.unbounded.value])]
+    gone = x[np.isin(status, LOST)]
     at_bottom = {"transform": axes.get_xaxis_transform(), "color": color, "markersize": 8}
     axes.plot(gone, np.full(len(gone), 0.02), **(at_bottom | GONE))
 

@@ -14,12 +14,13 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from vibrojax.plot.map_axes import FREQUENCIES, MapAxis
 from vibrojax.plot.style import COLORS, HOLLOW, SMALL, color_bar
+from vibrojax.results.status import LOST
 
 REGIME = "_regime"
 """Name under which the kind of motion of every cell is kept in the view."""
-APERIODIC, DIVERGED, UNSTABLE = -1, -2, -3  # instead of a period
-LANES = {"settled": 0, "aperiodic": 1, "diverged": 2, "failed": 3, "missing": 4}
-MARKS = {"aperiodic": "o", "diverged": "X", "failed": "s"}
+APERIODIC, GONE, UNSTABLE = -1, -2, -3  # instead of a period
+LANES = {"settled": 0, "aperiodic": 1, "lost": 2, "failed": 3, "missing": 4}
+MARKS = {"aperiodic": "o", "lost": "X", "failed": "s"}
 BLANK: dict[str, Any] = {"edgecolor": COLORS["middle"], "hatch": "////"}
 MOST_VALUES = 10
 """Whole numbers that get a colour each; more get a continuous scale."""
@@ -141,7 +142,7 @@ def with_regimes(view: xarray.Dataset, variable: str) -> tuple[xarray.Dataset, W
     if on_curves:
         status, regime = view["status"], view["period"].astype(float)
         regime = regime.where(status != LANES["aperiodic"], APERIODIC)
-        regime = regime.where(status != LANES["diverged"], DIVERGED)
+        regime = regime.where(~status.isin(LOST), GONE)
         if "stable" in alike:
             regime = regime.where(view["stable"] != 0, UNSTABLE)
         regime = regime.where(array.notnull())
@@ -206,7 +207,7 @@ def draw_cells(
     if REGIME in panel:
         regime = cells(panel, REGIME, y, x)
         _draw_edges(axes, regime, taken, across, words)
-        marked = (("aperiodic", APERIODIC), ("diverged", DIVERGED))
+        marked = (("aperiodic", APERIODIC), ("lost", GONE))
         for name, number in marked if variable != "status" else ():
             _mark(axes, regime == number, name, name, across)
     shown = words.on_curves or variable == "lane_status"

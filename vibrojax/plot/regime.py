@@ -37,6 +37,7 @@ KINDS = {
     "chaotic": (COLORS["orange"], "^"),
     "undecided": (COLORS["middle"], "D"),
     "diverged": (COLORS["black"], "x"),
+    "gave_up": (COLORS["middle"], "x"),
 }
 """Colour and marker of a kind of motion; shades of blue count the period."""
 PERIOD_COLORS = [to_hex(matplotlib.colormaps["Blues"](k)) for k in np.linspace(0.18, 0.86, 5)]

@@ -60,7 +60,7 @@ class Attractors(NamedTuple):
     """What the starts of one rig at one frequency lead to; attractors by share, largest first."""
 
     number: Int[np.ndarray, " starts"]
-    """Attractor of every start, from 1; 0 for a start that diverged."""
+    """Attractor of every start, from 1; 0 for a start that was lost."""
     periods_marched: Int[np.ndarray, " starts"]
     described: dict[str, np.ndarray]
     """Over the attractors: `period` in drive periods (0 for motions without one), what DESCRIBED

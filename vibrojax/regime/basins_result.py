@@ -96,7 +96,7 @@ class Basins(AbstractSaved):
     sampling: str = eqx.field(static=True)
     """`grid` or `random`."""
     attractor: Int[Array, "..."]
-    """Number of the attractor, from 1, of every start; 0 where it diverged. Over (axes..., first
+    """Number of the attractor, from 1, of every start; 0 where it was lost. Over (axes..., first
     number, second number), or (axes..., starts)."""
     period: Int[Array, "... attractors"]
     """Drive periods; 0 for motions without a period, -1 where there is no such attractor."""
@@ -168,7 +168,7 @@ class Basins(AbstractSaved):
 
     @property
     def diverged_share(self) -> float | Float[Array, "..."]:
-        """Share of the starts that diverged."""
+        """Share of the starts that were lost: diverged, or given up."""
         return np.mean(self._flat() == 0, axis=-1)[()]
 
     @property

@@ -30,7 +30,9 @@ class Regime(enum.Enum):
     """Period and exponent do not fit together yet: a transient that is not over, a period longer
     than looked for, or a record too short. Give more transient, periods or max_period."""
     diverged = 4
-    """The state stopped being finite, or contacts came too fast to be resolved."""
+    """The state stopped being finite, or an undamped motion grows without bound."""
+    gave_up = 5
+    """Contacts came too fast to be gone through: raise ExactContact(max_rounds=...)."""
 
     @property
     def word(self) -> str:

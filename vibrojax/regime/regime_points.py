@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from vibrojax._tools.described import recipe
 from vibrojax.ensemble.frequencies import frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
-from vibrojax.regime.kinds import regime_of
+from vibrojax.regime.kinds import Regime, regime_of
 from vibrojax.regime.observing import sample_motions
 from vibrojax.regime.poincare_map import Numbers, PoincareMap, Report
 from vibrojax.regime.settings import BasinSettings, RegimeSettings
@@ -112,14 +112,15 @@ def regime_points(
         barrier=settings.barrier,
         spectrum=settings.spectrum,
     )
+    gave_up = ~grows & np.isinf(end).any(axis=1)
+    words = Status.unbounded, Status.gave_up, Status.diverged, Status.settled
     status = np.select(
-        [grows, ~alive, period > 0],
-        [Status.unbounded.value, Status.diverged.value, Status.settled.value],
-        Status.aperiodic.value,
+        [grows, gave_up, ~alive, period > 0], [w.value for w in words], Status.aperiodic.value
     )
+    regime = regime_of(period, exponent * window, error * window, away, limit, alive)
     found = {
         "period": period,
-        "regime": regime_of(period, exponent * window, error * window, away, limit, alive),
+        "regime": np.where(gave_up, Regime.gave_up.value, regime).astype(np.int32),
         "status": status.astype(np.int32),
         "return_error": away,
         "lyapunov_exponent": exponent,

@@ -11,12 +11,16 @@ class Status(enum.Enum):
     diverged = 2
     completed = 3
     unbounded = 4
+    gave_up = 5
 
     @property
     def sentence(self) -> str:
         """The status in words."""
         return _SENTENCES[self]
 
+
+LOST = Status.diverged.value, Status.unbounded.value, Status.gave_up.value
+"""How points end that have no values."""
 
 _SENTENCES = {
     Status.settled: "The motion is periodic and stable.",
@@ -29,5 +33,9 @@ _SENTENCES = {
         "An undamped mode is driven at its own frequency and no stop holds it: the motion grows "
         "without bound."
     ),
-    Status.diverged: "The state stopped being finite, or contacts came too fast to be resolved.",
+    Status.diverged: "The state stopped being finite.",
+    Status.gave_up: (
+        "Contacts came too fast to be gone through in the rounds allowed for a drive period: raise "
+        "ExactContact(max_rounds=...)."
+    ),
 }

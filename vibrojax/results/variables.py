@@ -31,7 +31,7 @@ VARIABLES = {
     "bearing_angle": Variable("rad", "Angle at the bearing"),
     "drive_periods": Variable("1", "Length of the cycle in drive periods"),
     "drive_phase": Variable("rad", "Phase of the drive"),
-    "attractor": Variable("1", "Attractor, from 1 (0: the start diverged)"),
+    "attractor": Variable("1", "Attractor, from 1 (0: the start was lost)"),
     "share": Variable("1", "Share of the starts"),
     "standard_error": Variable("1", "Standard error of the share, random starts assumed"),
     "share_low": Variable("1", "Low end of the 95 % interval of the share"),

@@ -322,6 +322,7 @@ class LanePool:
 
     def _measured(self, own: np.ndarray, lanes: np.ndarray, window: np.ndarray) -> Settled:
         state, grows, n = self.state[lanes], self._grows(lanes), len(own)
+        gave_up = np.any(np.isinf(state), axis=1)
         lost = grows | ~np.all(np.isfinite(state), axis=1)
         # A lane that is lost starts again from rest at the next frequency.
         state = np.where(lost[:, None], 0.0, state)
@@ -337,7 +338,8 @@ class LanePool:
         # Periodic lanes go on from the orbit itself, the others from where the measuring ended.
         goes_on = (period == 0) & np.isfinite(end).all(axis=1)
         kind = np.where(period > 0, Status.settled.value, Status.aperiodic.value)
-        status = np.select([grows[:n], lost], [Status.unbounded.value, Status.diverged.value], kind)
+        words = Status.unbounded, Status.gave_up, Status.diverged
+        status = np.select([grows[:n], gave_up[:n], lost], [w.value for w in words], kind)
         return Settled(
             lanes=own,
             state=np.where(goes_on[:, None], end, state[:n]),

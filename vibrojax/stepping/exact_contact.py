@@ -32,7 +32,9 @@ from vibrojax.stepping.runs import AbstractRun
 lax = jax.lax
 
 ROUNDS = 4000
-"""Rounds in a drive period before a lane is given up."""
+"""Rounds in a drive period before a lane is given up, unless told otherwise."""
+GIVEN_UP = jnp.inf
+"""State of a lane that was given up; NaN is one whose motion stopped being finite."""
 TOGETHER = 0.3
 """Share of the lanes of a run that reach the end of their period before any goes on."""
 
@@ -45,27 +47,38 @@ def march(
     *,
     ruler: Ruler | None = None,
     room: int = MOST_EVENTS,
+    rounds: int = ROUNDS,
 ) -> tuple[Float[Array, "states *#lanes"], Int[Array, "*#lanes"], Measures | None]:
     """March every lane over its number of drive periods, each at its own pace.
 
     Returns the states (q, q'), the rounds made, and the measures where there is a `ruler` for them,
     with as many changes of contact noted as there is room for.
-    A lane that takes more than `ROUNDS` rounds for a drive period is left where it is,
-    with fewer periods behind it, and its state is NaN: the caller flags it.
+    A lane that takes more than so many `rounds` for a drive period is left where it is,
+    with fewer periods behind it, and its state is `GIVEN_UP`: the caller flags it.
     """
     loop = ContactLoop(phases, force, ruler)
     target = jnp.broadcast_to(jnp.asarray(periods, jnp.int32), loop.period.shape)
-    flight = run(loop, state, loop.period, target, None, room)
+    flight = run(loop, state, loop.period, target, None, room, rounds)
     end = loop.state_of(flight.blocks, flight.phase, flight.time)
-    end = jnp.where(flight.finished >= target, end, jnp.nan)
+    end = _or_lost(end, flight.finished >= target, state)
     return end, flight.rounds, flight.measures
+
+
+def _or_lost(
+    end: Float[Array, "states *#lanes"],
+    arrived: Bool[Array, "*#lanes"],
+    start: Float[Array, "states *#lanes"],
+) -> Float[Array, "states *#lanes"]:
+    """States of lanes that arrived; of the others, also of those lost before, why they did not."""
+    given_up = jnp.all(jnp.isfinite(end), axis=0) | jnp.any(start == GIVEN_UP, axis=0)
+    return jnp.where(arrived, end, jnp.where(given_up, GIVEN_UP, jnp.nan))
 
 
 class ExactRun(AbstractRun):
     """Lanes in exact contact: who arrives waits for some of the others, not for the slowest."""
 
-    def __init__(self, phases: ContactPhases, force: Forcing):
-        self.loop = ContactLoop(phases, force)
+    def __init__(self, phases: ContactPhases, force: Forcing, rounds: int = ROUNDS):
+        self.loop, self.rounds = ContactLoop(phases, force), rounds
 
     def begin(self, state: Float[Array, "states *lanes"]) -> Flight:
         """Put lanes at the beginning of a drive period."""
@@ -75,10 +88,10 @@ class ExactRun(AbstractRun):
         self, lanes: Flight, live: Bool[Array, "*lanes"]
     ) -> tuple[Flight, Bool[Array, "*lanes"]]:
         """Take live lanes further until enough are at the end of their period, or given up."""
-        loop, enough = self.loop, jnp.ceil(TOGETHER * jnp.sum(live))
+        loop, most, enough = self.loop, self.rounds, jnp.ceil(TOGETHER * jnp.sum(live))
 
         def arrived(flight: Flight) -> Bool[Array, "*lanes"]:
-            return live & ((flight.finished > 0) | (flight.rounds >= ROUNDS))
+            return live & ((flight.finished > 0) | (flight.rounds >= most))
 
         def round_(carry: tuple[Flight, Int[Array, ""]]) -> tuple[Flight, Int[Array, ""]]:
             flight, tick = carry
@@ -92,9 +105,9 @@ class ExactRun(AbstractRun):
     def arrived_at(
         self, lanes: Flight
     ) -> tuple[Float[Array, "states *lanes"], Int[Array, "*lanes"]]:
-        """Return the states of lanes at the end of their period, NaN where given up; rounds."""
+        """Return the states of lanes at the end of their period, and the rounds it took."""
         end = self.loop.state_of(lanes.blocks, lanes.phase, jnp.zeros_like(lanes.time))
-        return jnp.where(lanes.finished > 0, end, jnp.nan), lanes.rounds
+        return _or_lost(end, lanes.finished > 0, end), lanes.rounds
 
 
 def step_from(
@@ -109,8 +122,8 @@ def step_from(
 
     Harmonic drives are exact; of a chirp the step takes the frequency and amplitude of its middle.
     With `max_attempts` reverse mode can differentiate the loop, of that many rounds at the most;
-    else `vmap` runs the lanes in one loop with the layout of `march`. The state is NaN if the
-    rounds did not suffice.
+    else `vmap` runs the lanes in one loop with the layout of `march`. The state is `GIVEN_UP` if
+    the rounds did not suffice.
     """
     numbers = phases, motion.drive, motion.waveform, state, start, duration
     numbers = jax.tree.map(lambda a: jnp.asarray(a, float), numbers)
@@ -142,7 +155,7 @@ def _step_lanes(
     loop = ContactLoop(phases, force)
     flight = run(loop, state, duration, jnp.ones(lanes, jnp.int32), max_attempts)
     end = loop.state_of(flight.blocks, flight.phase, duration)
-    return jnp.where(flight.finished > 0, end, jnp.nan)
+    return _or_lost(end, flight.finished > 0, state)
 
 
 @jax.custom_batching.custom_vmap
@@ -221,10 +234,11 @@ def run(
     target: Int[Array, "*#lanes"],
     max_attempts: int | None,
     room: int = MOST_EVENTS,
+    rounds: int = ROUNDS,
 ) -> Flight:
     """Fly every lane `target` times over the duration, starting each time at drive time 0."""
     flight = enter(loop, state, room)
-    budget = jnp.minimum(target.astype(float) * ROUNDS, 2e9).astype(jnp.int32)
+    budget = jnp.minimum(target.astype(float) * rounds, 2e9).astype(jnp.int32)
 
     def left(flight: Flight) -> Bool[Array, "*lanes"]:
         return (flight.finished < target) & (flight.rounds < budget)

@@ -27,7 +27,7 @@ class AbstractRun(ABC):
     def arrived_at(self, lanes: Any) -> tuple[States, Counts]:
         """Return the states of lanes at the end of their period, and the steps taken in it.
 
-        A lane that cannot go on has a state that is not finite.
+        A lane that cannot go on has a state that is not finite: infinite where it was given up.
         """
 
 

@@ -181,15 +181,16 @@ class ExactMarch(AbstractMarch):
     drive: AbstractDrive
     tolerance: Lanes
     steps_per_period: int | None = eqx.field(static=True)
+    max_rounds: int = eqx.field(static=True)
 
     def __call__(
         self, state: States, angular_frequency: Lanes, periods: Counts, observe: bool
     ) -> tuple[States, Counts, Measures | None]:
         """March with exact propagators; see `exact_contact.march`."""
-        force, ruler = self.force_at(angular_frequency), None
+        force, ruler, rounds = self.force_at(angular_frequency), None, self.max_rounds
         if observe:
             ruler = self._ruler(2 * jnp.pi / angular_frequency)
-        return exact_contact.march(self.phases, force, state, periods, ruler=ruler)
+        return exact_contact.march(self.phases, force, state, periods, ruler=ruler, rounds=rounds)
 
     def _ruler(self, period: Lanes) -> Ruler:
         """How finely motions are measured."""
@@ -199,7 +200,8 @@ class ExactMarch(AbstractMarch):
 
     def run_at(self, angular_frequency: Lanes) -> exact_contact.ExactRun:
         """Make lanes at their drive frequencies ready to go on from period to period."""
-        return exact_contact.ExactRun(self.phases, self.force_at(angular_frequency))
+        force = self.force_at(angular_frequency)
+        return exact_contact.ExactRun(self.phases, force, self.max_rounds)
 
     def force_at(self, angular_frequency: Lanes) -> Forcing:
         """Tabulate what the drive does."""
@@ -219,8 +221,8 @@ class ExactContact(AbstractStepper):
     For linear stops (KelvinVoigt, with or without tension, any smoothing left out); up to four of
     them. Between changes of contact every depth is bounded, so none is missed however short, unless
     it is less deep than 1e-9 of the gap; what is left is round-off, and the cost is that of the
-    contacts, whatever their stiffness. Raises `ValueError` for a tolerance outside (0, 0.1] or
-    fewer than 4 steps per period.
+    contacts, whatever their stiffness. Raises `ValueError` for a tolerance outside (0, 0.1],
+    fewer than 4 steps per period or counts below 1.
     """
 
     tolerance: float = eqx.field(default=1e-4)
@@ -231,12 +233,16 @@ class ExactContact(AbstractStepper):
     max_attempts: int | None = eqx.field(static=True, default=None)
     """Within diffrax: most rounds per step, kept for reverse mode to differentiate; None takes as
     many as needed, for forward mode and plain values."""
+    max_rounds: int = eqx.field(static=True, default=exact_contact.ROUNDS)
+    """Rounds in a drive period, several for a contact, before a lane of a sweep, map or regime is
+    given up, with the status `gave_up`."""
 
     def __check_init__(self) -> None:
         """Refuse settings that cannot work."""
         check_settings(self.tolerance, self.steps_per_period)
         if self.max_attempts is not None:
             check_count("max_attempts", self.max_attempts)
+        check_count("max_rounds", self.max_rounds)
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> ContactPhases | None:
         """Compute the phases once, for diffrax, unless `motion` has."""
@@ -267,7 +273,8 @@ class ExactContact(AbstractStepper):
     def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> ExactMarch:
         """Compute the phases of flight and contact."""
         phases = contact_phases(_linear(equations, "ExactContact"))
-        return ExactMarch(phases, drive, jnp.asarray(self.tolerance), self.steps_per_period)
+        tolerance = jnp.asarray(self.tolerance)
+        return ExactMarch(phases, drive, tolerance, self.steps_per_period, self.max_rounds)
 
 
 class SplittingMarch(AbstractMarch):

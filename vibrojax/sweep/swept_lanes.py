@@ -13,7 +13,7 @@ from vibrojax._tools.compiled import compiled
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.systems import AbstractSystem
-from vibrojax.results.status import Status
+from vibrojax.results.status import LOST, Status
 from vibrojax.steady import pool_programs
 from vibrojax.steady.fold_ahead import compile_fold_ahead, folds_ahead
 from vibrojax.steady.lane_pool import LanePool, Onwards, Settled
@@ -119,7 +119,7 @@ def ratios_of(m: Measures, window: Any, reference: Any, xp: ModuleType = np) -> 
 def _variables(arrived: Settled, reference: Float[np.ndarray, " lanes"]) -> dict[str, np.ndarray]:
     """Return the variables of some lanes."""
     values = ratios_of(arrived.measures, arrived.window, reference)
-    lost = np.isin(arrived.status, (Status.diverged.value, Status.unbounded.value))
+    lost = np.isin(arrived.status, LOST)
     return {name: np.where(lost, np.nan, v) for name, v in values.items()} | {
         "period": arrived.period,
         "status": arrived.status,
