@@ -61,7 +61,6 @@ from vibrojax.plot.maps import plot_map as plot_map
 from vibrojax.plot.maps import plot_map_summary as plot_map_summary
 from vibrojax.regime.basins import basins as basins
 from vibrojax.regime.bifurcation import bifurcation_diagram as bifurcation_diagram
-from vibrojax.regime.kinds import Regime as Regime
 from vibrojax.regime.lyapunov import lyapunov_exponent as lyapunov_exponent
 from vibrojax.regime.regimes import regimes as regimes
 from vibrojax.regime.settings import BasinSettings as BasinSettings
@@ -69,6 +68,7 @@ from vibrojax.regime.settings import RegimeSettings as RegimeSettings
 from vibrojax.resolution import ResolutionCheck as ResolutionCheck
 from vibrojax.resolution import check_resolution as check_resolution
 from vibrojax.results.status import Status as Status
+from vibrojax.steady.kinds import Regime as Regime
 from vibrojax.steady.methods import HarmonicBalance as HarmonicBalance
 from vibrojax.steady.methods import PeriodicSettings as PeriodicSettings
 from vibrojax.steady.methods import Shooting as Shooting

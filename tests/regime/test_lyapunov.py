@@ -8,7 +8,7 @@ from unit_oscillator import oscillator
 
 import vibrojax as vj
 from vibrojax.regime import lyapunov
-from vibrojax.regime.lyapunov import first_tangent, mean_rate, tangent_growth
+from vibrojax.steady.growth import first_tangent, mean_rate, tangent_growth
 
 
 def exponent(angular_frequency, system=None, periods=300):

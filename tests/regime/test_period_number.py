@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.regime.poincare_map import period_number
+from vibrojax.steady.observed import period_number
 
 COUNT, LONGEST = 80, 20
 

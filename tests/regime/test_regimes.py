@@ -6,9 +6,10 @@ from splitting_settings import with_settings
 from unit_oscillator import oscillator
 
 import vibrojax as vj
-from vibrojax.regime import observing, poincare_map
-from vibrojax.regime.kinds import Regime, regime_of
+from vibrojax.regime import observing
 from vibrojax.regime.observing import amplitude_spectrum, sides
+from vibrojax.steady import observed
+from vibrojax.steady.kinds import Regime, regime_of
 
 UNIT = 2 * np.pi
 PERIODS = 120
@@ -72,13 +73,13 @@ def test_lanes_do_not_know_of_each_other(found):
 
 
 def test_random_starts_are_the_same_for_a_seed_and_lie_outside_of_the_stop():
-    before = len(poincare_map._observe.programs), len(observing._sampled.programs)
+    before = len(observed.observe.programs), len(observing._sampled.programs)
     settings = SETTINGS | {"starts": 6, "frequency": W[:2] / UNIT}
     one = vj.regimes(oscillator(), seed=3, **settings)
     again = vj.regimes(oscillator(), seed=3, **settings)
     other = vj.regimes(oscillator(gap=1.1), seed=4, **settings)
     # Other numbers, and other numbers of rigs, run in the loops there are.
-    after = len(poincare_map._observe.programs), len(observing._sampled.programs)
+    after = len(observed.observe.programs), len(observing._sampled.programs)
     assert max(a - b for a, b in zip(after, before, strict=True)) <= 1
     assert one.dims == ("start", "frequency")
     np.testing.assert_array_equal(one.starts, again.starts)

@@ -11,8 +11,8 @@ import numpy as np
 
 from vibrojax._tools.checks import nearest
 from vibrojax._tools.compiled import compiled
-from vibrojax.regime.kinds import Regime
 from vibrojax.results.status import Status
+from vibrojax.steady.kinds import Regime
 
 Curve = dict[str, Any]
 """Arrays of one lane by name: variables of the response over (direction, frequency), the frequency

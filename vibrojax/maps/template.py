@@ -8,8 +8,8 @@ import numpy as np
 from vibrojax.ensemble.arguments import Dimension
 from vibrojax.maps.measures import PLACED, PLACES, STEPWISE, Measure
 from vibrojax.maps.responses import WHOLE, AbstractMapResponse, Grid
-from vibrojax.regime.kinds import Regime
 from vibrojax.results.variables import axis_description, axis_unit, described_statistic
+from vibrojax.steady.kinds import Regime
 
 FAILED, MISSING = 3, 4
 """Values of `lane_status` beyond those of the response."""

@@ -10,11 +10,11 @@ from jaxtyping import Float, Int
 from vibrojax._tools.described import recipe
 from vibrojax.ensemble.frequencies import frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
-from vibrojax.regime.kinds import Regime, regime_of
 from vibrojax.regime.observing import sample_motions
 from vibrojax.regime.poincare_map import Numbers, PoincareMap, Report
 from vibrojax.regime.settings import BasinSettings, RegimeSettings
 from vibrojax.results.status import Status
+from vibrojax.steady.kinds import Regime, regime_of
 from vibrojax.stepping.resonance import is_unbounded
 from vibrojax.stepping.stepper import AbstractStepper
 from vibrojax.sweep.swept_lanes import rigs_of

@@ -9,11 +9,11 @@ from jaxtyping import Float, Int
 
 from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
-from vibrojax.regime.kinds import Regime
 from vibrojax.results.axes import coordinates_of, example, lane_of, pick, view_of
 from vibrojax.results.saving import AbstractSaved
 from vibrojax.results.status import Status
 from vibrojax.results.variables import described_as, described_statistic
+from vibrojax.steady.kinds import Regime
 
 if TYPE_CHECKING:
     import xarray
