@@ -199,6 +199,21 @@ def test_oscillator(oscillator_branch):
     np.testing.assert_allclose(product[exact], np.exp(-0.1 * UNIT / w)[exact], rtol=1e-9)
 
 
+def test_what_follows_where_stability_is_lost(oscillator, oscillator_branch):
+    points = oscillator_branch.special_points
+    first, *_, last = [p for p in points if p.kind == "period_doubling"]
+    assert (first.follows, last.follows) == ("period 3", "period 2")
+    assert last.follows_at < last.parameter  # on the side where the branch is unstable
+    assert first.follows_at > first.parameter
+    # Settled sweeps have them too.
+    curve = vj.frequency_sweep(oscillator, frequency=[first.follows_at, last.follows_at])
+    assert curve.period.max(axis=0).tolist() == [3, 2]
+    assert not any(p.follows for p in points if p.kind in ("fold", "grazing"))
+    data = oscillator_branch.to_xarray()
+    assert data.period_doubling_follows.values.tolist()[-1] == "period 2"
+    assert f"then period 2 at {last.follows_at:.6g}" in repr(last)
+
+
 def test_the_doubled_branch(oscillator, oscillator_branch):
     """Motions of period 2 leave at 0.9285; at 0.9275 they are stable."""
     doubled = oscillator_branch.switch(oscillator_branch.period_doublings.size - 1)

@@ -69,6 +69,7 @@ def test_folds_and_status(rig_branch):
     assert rig_branch.period_doublings.size == rig_branch.neimark_sackers.size == 0
     upper = next(p for p in rig_branch.special_points if p.kind == "fold")
     assert float(upper) == rig_branch.folds[0]
+    assert not any(p.follows for p in rig_branch.special_points)  # unstable between folds only
     assert upper.amplitude_ratio == pytest.approx(33.729, rel=2e-3)  # of the listed jump, beside it
     assert upper.contact_force == pytest.approx(2.7095, rel=2e-3)
 

@@ -9,6 +9,7 @@ from vibrojax._tools.signatures import validated
 from vibrojax.branches.along import along_of
 from vibrojax.branches.branch import Branch, Branches
 from vibrojax.branches.settings import ContinuationSettings
+from vibrojax.branches.what_follows import with_what_follows
 from vibrojax.branches.work import follow_branches, follow_from
 from vibrojax.ensemble.arguments import Zipped
 from vibrojax.ensemble.ranges import Range
@@ -84,6 +85,8 @@ def continue_response(
     )
     paths = along.paths(plan.exact)
     if start is not None:
-        return Branch.of(follow_from(plan, paths, start))
-    branches = tuple(Branch.of(points) for points in follow_branches(plan, paths))
+        (points,) = with_what_follows([follow_from(plan, paths, start)])
+        return Branch.of(points)
+    every = with_what_follows(follow_branches(plan, paths))
+    branches = tuple(Branch.of(points) for points in every)
     return Branches(along.axes, branches) if along.axes else branches[0]

@@ -61,6 +61,11 @@ class SpecialPoint(eqx.Module):
     """Index of the branch point before it."""
     refined: bool = True
     """Whether it was solved for; else it is the nearest motion that was found."""
+    follows: str = eqx.field(static=True, default="")
+    """What the system does where stability is lost, from next to the branch: `period 2`,
+    `quasi-periodic`, `chaotic`, `another motion of period 1`, or `undecided`."""
+    follows_at: float = np.nan
+    """Where on the unstable side that was seen."""
 
     def __float__(self) -> float:
         return float(self.parameter)
@@ -69,6 +74,7 @@ class SpecialPoint(eqx.Module):
         return (
             f"{self.kind.replace('_', ' ')} at {self.parameter:.8g} "
             f"(amplitude ratio {self.amplitude_ratio:.6g}{'' if self.refined else ', not refined'})"
+            + (f", then {self.follows} at {self.follows_at:.6g}" if self.follows else "")
         )
 
 
@@ -227,6 +233,11 @@ class BranchPoints(eqx.Module):
             data[kind] = (dim, getattr(self, kind), where)
             data[f"{dim}_after"] = (dim, np.array([p.after for p in own], int), after)
             data[f"{dim}_refined"] = (dim, np.array([p.refined for p in own], np.int8), refined)
+            if dim not in ("fold", "touch_fold"):
+                follows = {"units": "1", "long_name": "What comes where stability is lost"}
+                seen = {"units": axis_units, "long_name": f"{self.axis} where that was seen"}
+                data[f"{dim}_follows"] = (dim, np.array([p.follows for p in own], str), follows)
+                data[f"{dim}_follows_at"] = (dim, np.array([p.follows_at for p in own]), seen)
             for name in ("amplitude_ratio", "contact_force"):
                 values = np.array([getattr(p, name) for p in own], float)
                 data[f"{dim}_{name}"] = described(name, (dim,), values)

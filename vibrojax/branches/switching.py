@@ -4,6 +4,7 @@ from vibrojax.branches.exact_branches import walk_doubled
 from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import BranchPoints
 from vibrojax.branches.settings import ContinuationSettings
+from vibrojax.branches.what_follows import with_what_follows
 
 
 def switch_branch(
@@ -41,4 +42,4 @@ def switch_branch(
             f"No motion of {plan.period} drive periods was found next to the period doubling at "
             f"{point.parameter:.8g}."
         )
-    return doubled
+    return with_what_follows([doubled])[0]

@@ -89,7 +89,9 @@ def sampled_motion(
 
 
 @compiled
-def _prepared(paths, values, exact: bool):
+def prepared(paths, values, exact: bool):
+    """Make a march ready for every lane at its value; also the drive frequencies, rad/s."""
+
     def prepare(path, value):
         place = path.at(value)
         return stepper(exact).prepare(place.equations, place.drive), place.angular_frequency
@@ -127,7 +129,7 @@ def settled_states(
     index = one_or_many(lanes, LANES)
     paths, values = take(jax.device_get(paths), index), np.asarray(values)[index]
     place = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take(paths, 0))
-    march, frequency = _prepared(paths, jnp.asarray(values), exact)
+    march, frequency = prepared(paths, jnp.asarray(values), exact)
     came = settle(
         march,
         np.zeros((lanes, place.equations.state_size)),
