@@ -35,7 +35,9 @@ class Branch(BranchPoints, AbstractSaved):
     @classmethod
     def of(cls, points: BranchPoints) -> "Branch":
         """Make a branch of its points."""
-        return cls(**{field.name: getattr(points, field.name) for field in fields(points)})
+        own: dict[str, Any] = {field.name: getattr(points, field.name) for field in fields(points)}
+        own["isolas"] = tuple(map(cls.of, points.isolas))
+        return cls(**own)
 
     @validated
     def resample(self, values: ArrayLike | Sequence[Any]) -> "xarray.Dataset":
@@ -76,10 +78,10 @@ class Branch(BranchPoints, AbstractSaved):
     ) -> "Figure":
         """Draw one variable against the parameter: stable solid, unstable dashed, points marked.
 
-        `sweep`, a `FrequencyResponse`, is laid over it. Raises `ValueError` for an unknown
-        variable.
+        Isolas that were found are drawn too. `sweep`, a `FrequencyResponse`, is laid over it.
+        Raises `ValueError` for an unknown variable.
         """
-        return _picture([self], variable, sweep)
+        return _picture([self, *map(Branch.of, self.isolas)], variable, sweep)
 
 
 def _picture(

@@ -1,6 +1,7 @@
 """Branches of periodic responses along the drive frequency or any other number."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, overload
 
 from jaxtyping import ArrayLike
@@ -8,6 +9,7 @@ from jaxtyping import ArrayLike
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.along import along_of
 from vibrojax.branches.branch import Branch, Branches
+from vibrojax.branches.isolas import isolas_of
 from vibrojax.branches.settings import ContinuationSettings
 from vibrojax.branches.what_follows import with_what_follows
 from vibrojax.branches.work import follow_branches, follow_from
@@ -24,6 +26,7 @@ def continue_response(
     frequency_ratio: Range | ArrayLike | Sequence[float] | None = None,
     frequency: Range | ArrayLike | Sequence[float] | None = None,
     start: PeriodicResponse | tuple[ArrayLike | Sequence[float], float] | None = None,
+    isolas: bool = False,
     settings: ContinuationSettings | None = None,
 ) -> Branch: ...
 
@@ -35,6 +38,7 @@ def continue_response(
     frequency_ratio: Range | ArrayLike | Sequence[float] | None = None,
     frequency: Range | ArrayLike | Sequence[float] | None = None,
     start: PeriodicResponse | tuple[ArrayLike | Sequence[float], float] | None = None,
+    isolas: bool = False,
     settings: ContinuationSettings | None = None,
     **numbers: Any,
 ) -> Branch | Branches: ...
@@ -47,6 +51,7 @@ def continue_response(
     frequency_ratio: Range | ArrayLike | Sequence[float] | None = None,
     frequency: Range | ArrayLike | Sequence[float] | None = None,
     start: PeriodicResponse | tuple[ArrayLike | Sequence[float], float] | None = None,
+    isolas: bool = False,
     settings: ContinuationSettings | None = None,
     **numbers: Any,
 ) -> Branch | Branches:
@@ -66,13 +71,18 @@ def continue_response(
             state is as of `simulate`: what `system.state(displacement=...)` makes, or (q, q') in
             the coordinates of the system; where the branch passes far from it, a warning and the
             branch's sentence say so. By default it starts at the low end of the range.
+        isolas: whether branches beside this one are looked for, of linear stops: what is found is
+            in `branch.isolas`. A sweep misses them by nature. They are looked for from random
+            states that settle and by opening and closing all gaps, at 12 values of the range: what
+            is found is there, but there may be others.
         settings: `vj.ContinuationSettings(period=..., tolerance=..., ...)`.
         numbers: arguments of the function: a `vj.Range` is followed (exactly one in the call), a
             list is an axis with one branch per value, anything else is fixed.
 
     Returns a `Branch`, or `Branches` where there are axes; each has a status, and says which
     fallback it needed. Raises `ValueError` for no range or several, a tolerance out of reach, a
-    system without stops or drive, or one that is not linear but for its stops.
+    system without stops or drive, or one that is not linear but for its stops; where isolas are
+    looked for, of one whose stops are not linear.
     """
     along = along_of(system, frequency_ratio, frequency, numbers, zipped)
     plan = (settings or ContinuationSettings()).plan(
@@ -83,10 +93,13 @@ def continue_response(
         labels=along.labels,
         description=along.description,
     )
+    if isolas and not plan.exact:
+        raise ValueError("isolas must be False for stops that are not linear: leave it out.")
     paths = along.paths(plan.exact)
-    if start is not None:
-        (points,) = with_what_follows([follow_from(plan, paths, start)])
-        return Branch.of(points)
-    every = with_what_follows(follow_branches(plan, paths))
+    from_start = start is not None
+    every = [follow_from(plan, paths, start)] if from_start else follow_branches(plan, paths)
+    every = with_what_follows(every)
+    if isolas:
+        every = [replace(b, isolas=tuple(with_what_follows(isolas_of(plan, b)))) for b in every]
     branches = tuple(Branch.of(points) for points in every)
     return Branches(along.axes, branches) if along.axes else branches[0]

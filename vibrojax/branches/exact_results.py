@@ -83,14 +83,14 @@ def motions_at(
     """Solve for motions at values, each behind a point of the branch; None where there is none."""
     rigs = CurveRigs(path, period)
     jobs = [
-        Job(_between(walk, first, value), rigs, 0, walk.search.unit, walk.search.scale)
+        Job(between(walk, first, value), rigs, 0, walk.search.unit, walk.search.scale)
         for first, value in places
     ]
     both = run_together(jobs)
     return [motion for motion, _ in both], [seen for _, seen in both]
 
 
-def _between(walk: Walk, first: int, value: float) -> Steps:
+def between(walk: Walk, first: int, value: float) -> Steps:
     """Solve for the motion at a value between the points `first` and `first` + 1."""
     a, b = walk.points[first], walk.points[first + 1]
     touch = next((t for t in walk.touches if (t.at if t.entering else t.at - 1) == first), None)

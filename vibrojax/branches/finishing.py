@@ -80,6 +80,7 @@ def branch_of(
         path=path,
         depth=depth,
         curve=curve,
+        isolas=(),
         **columns,
     )
 

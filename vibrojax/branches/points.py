@@ -139,6 +139,8 @@ class BranchPoints(eqx.Module):
     nearby starts."""
     curve: ExactCurve | None
     """The same of exact branches."""
+    isolas: tuple["BranchPoints", ...] = ()
+    """Branches that were found beside this one, where they were looked for."""
 
     @property
     def frequency_ratio(self) -> Float[np.ndarray, " points"]:
@@ -273,5 +275,11 @@ class BranchPoints(eqx.Module):
             lines.append(f"  and {len(shown) - 8} special points more")
         if changes := len(self.special_points) - len(shown):
             lines.append(f"  contacts change         {changes} times more")
+        for isola in self.isolas:
+            low, high = isola.values.min(), isola.values.max()
+            lines.append(
+                f"  beside it               {len(isola.values)} points along {self.axis} "
+                f"{low:.6g} to {high:.6g}, {isola.status}"
+            )
         lines.append(f"  {self.sentence}")
         return "\n".join(lines)

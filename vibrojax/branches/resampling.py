@@ -26,7 +26,7 @@ def resample(branch: BranchPoints, values: Any) -> "xarray.Dataset":
         raise ValueError(
             f"values must be a non-empty list of finite numbers, got {in_short(values)}."
         )
-    at, which, first, share = _crossings(branch, values)
+    at, which, first, share = passages_of(branch, values)
     crossings = int(which.max(initial=-1)) + 1
     shape = (len(values), crossings)
     states = branch.initial_state.shape[1:]
@@ -53,7 +53,7 @@ def resample(branch: BranchPoints, values: Any) -> "xarray.Dataset":
     return xarray.Dataset(data, coordinates, attrs=dict(branch.attributes))
 
 
-def _crossings(branch: BranchPoints, values: np.ndarray):
+def passages_of(branch: BranchPoints, values: np.ndarray):
     """Where the branch passes each value: value, times before, point before, way to the next."""
     x = branch.values
     rows = []

@@ -6,7 +6,7 @@ as if their contacts stayed as they are, then marched for a period: where the ma
 contacts, the touch in between is solved for, and the walk goes on from there.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -146,8 +146,19 @@ class Walk:
                 self.odd = odd
             self.add(motion, seen)
             if self.is_closed():
+                self.close()
                 return Ending.closed
         return len(ahead)
+
+    def close(self) -> None:
+        """Take the first point as the last one too, unless the walk has gone past it."""
+        first, last = self.points[0], self.points[-1]
+        if first.contacts != last.contacts:
+            return
+        change = first.state - last.state, first.parameter - last.parameter
+        way = self.search.along(last, *change)
+        if way > 0:
+            self.add(replace(first, way=way), self.seen[0])
 
     def halfway(self, motions: list[OnCurve]) -> list[float]:
         """Drive phases half a period after phase 0, behind the sections."""

@@ -122,9 +122,16 @@ def sampled_depth(
 
 
 def settled_states(
-    paths: AbstractPath, values: np.ndarray, period: int, exact: bool
+    paths: AbstractPath,
+    values: np.ndarray,
+    period: int,
+    exact: bool,
+    starts: Float[np.ndarray, "lanes states"] | None = None,
 ) -> tuple[Float[np.ndarray, "lanes states"], Bool[np.ndarray, " lanes"]]:
-    """March lanes from rest until they settle: their states, and which are of the period."""
+    """March lanes, from rest or from `starts`, until they settle.
+
+    Returns their states, and which are of the period.
+    """
     lanes = len(values)
     index = one_or_many(lanes, LANES)
     paths, values = take(jax.device_get(paths), index), np.asarray(values)[index]
@@ -132,7 +139,7 @@ def settled_states(
     march, frequency = prepared(paths, jnp.asarray(values), exact)
     came = settle(
         march,
-        np.zeros((lanes, place.equations.state_size)),
+        np.zeros((lanes, place.equations.state_size)) if starts is None else starts,
         np.asarray(frequency)[:lanes],
         tolerance=1e-6 if exact else 1e-5,
         max_period=max(period, 4),

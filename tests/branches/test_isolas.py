@@ -1,0 +1,59 @@
+"""Branches beside the one that is followed, which no sweep from rest finds."""
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+
+AMPLITUDE = 4.0e-5
+"""Below 4.17e-5 m the free motion nowhere reaches the stop."""
+ABOUT = vj.Range(0.9, 1.4)
+
+
+def rig(base_amplitude=AMPLITUDE, stiffness=1e6):
+    return vj.default_rig(base_amplitude=base_amplitude, stiffness=stiffness, num_modes=1)
+
+
+@pytest.fixture(scope="module")
+def branch():
+    return vj.continue_response(rig(), frequency_ratio=ABOUT, isolas=True)
+
+
+@pytest.mark.slow
+def test_an_isola_is_found_and_closes(branch):
+    (isola,) = branch.isolas
+    assert (branch.contact_fraction == 0).all()
+    assert (isola.contact_fraction > 0).all()
+    assert isola.status == "closed"
+    assert isola.values[0] == isola.values[-1]
+    assert 0 < isola.stable.sum() < len(isola.values)
+    assert np.max(isola.residual) < 1e-9
+    assert "closed" in repr(branch)
+    assert branch.plot().axes[0].lines
+
+
+@pytest.mark.slow
+def test_its_folds_are_those_along_the_amplitude(branch):
+    """At the frequency of a fold the branch along the amplitude folds at that of the rig."""
+    (isola,) = branch.isolas
+    assert len(isola.folds) == 2
+    for fold in isola.folds:
+        along = vj.continue_response(
+            rig, frequency_ratio=fold, base_amplitude=vj.Range(0.2e-4, 2e-3)
+        )
+        assert np.abs(along.folds / AMPLITUDE - 1).min() < 1e-7
+
+
+@pytest.mark.slow
+def test_what_is_on_the_branch_is_no_isola(branch):
+    """With hysteresis two stable motions coexist: both are of the branch."""
+    soft = vj.continue_response(rig(2e-4, 5500.0), frequency_ratio=vj.Range(0.9, 1.6), isolas=True)
+    assert len(soft.folds) == 2
+    assert soft.isolas == ()
+
+
+def test_stops_that_are_not_linear_are_refused():
+    beam = vj.default_rig().beam
+    hertz = vj.ImpactingBeam(beam, vj.Stop(0.5, 4e-4, vj.Hertz(1e8)), vj.BaseMotion(2e-4))
+    with pytest.raises(ValueError, match="isolas must be False"):
+        vj.continue_response(hertz, frequency_ratio=ABOUT, isolas=True)

@@ -1,0 +1,182 @@
+"""Branches that a followed one is not connected to: looked for from motions that coexist with it.
+
+Two ways lead to such motions at some values of the parameter. Marches from random states settle on
+stable ones; walks in the opening of all gaps, from a motion of the branch, come by those of the
+same sheet of solutions, stable or not, where they pass the gaps that the rig has.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax.branches.beginning import motion_near
+from vibrojax.branches.comparing import COMPARED, SAME
+from vibrojax.branches.exact_branches import walk_from
+from vibrojax.branches.exact_results import between, columns_of_motions, motions_at, walk_of
+from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
+from vibrojax.branches.plan import Plan
+from vibrojax.branches.points import BranchPoints
+from vibrojax.branches.resampling import passages_of, resample
+from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
+from vibrojax.branches.walking import Walk
+from vibrojax.steady.paths import AbstractPath, OpenedPath, localise
+from vibrojax.steady.starting import settled_states
+
+PLACES, STARTS = 12, 8
+"""Values of the parameter at which it is looked for others, and random starts at each."""
+LARGEST = 4.0
+"""Largest displacement of a start at a stop, over its gap and what the branch reaches."""
+WIDEST = 3.0
+"""Widest opening of the gaps, over what the branch reaches."""
+MOST_POINTS = 400
+"""Points of a walk in the opening."""
+
+Candidate = tuple[float, Float[np.ndarray, " states"]]
+"""Value, and state (q, q') at drive phase 0, of a motion."""
+
+
+def isolas_of(plan: Plan, branch: BranchPoints) -> list[BranchPoints]:
+    """Look for branches beside one; those that are found, without special order."""
+    if not len(branch.values):
+        return []
+    edges = np.linspace(plan.low, plan.high, PLACES + 1)
+    values = (edges[:-1] + edges[1:]) / 2
+    values = values[(branch.values.min() < values) & (values < branch.values.max())]
+    plan = plan._replace(labels=[branch.labels])
+    rigs = CurveRigs(branch.path, plan.period)
+    at = _motions_of(branch, values)
+    candidates = _settled(branch.path, plan, at) + _by_opening(branch.path, plan, at)
+    found: list[BranchPoints] = []
+    known = [resample(branch, values)]
+    for value, state, numbers in _solved(plan, rigs, candidates):
+        if any(_is_of(there, value, numbers) for there in known):
+            continue
+        other = walk_from(plan, branch.path, state, value)
+        if other is not None and len(other.values) > 1:
+            found.append(replace(other, labels=branch.labels))
+            known.append(resample(other, values))
+    return found
+
+
+def _is_of(there: Any, value: float, numbers: np.ndarray) -> bool:
+    """Whether a motion is one of those of a branch at its value."""
+    own = there.sel({there.amplitude_ratio.dims[0]: value})
+    each = np.array([own[name].values for name in COMPARED])
+    size = np.where(numbers == 0, 1.0, np.abs(numbers))[:, None]
+    return bool((np.abs(each - numbers[:, None]) <= SAME * size).all(axis=0).any())
+
+
+def _motions_of(
+    branch: BranchPoints, values: Float[np.ndarray, " values"]
+) -> dict[float, tuple[OnCurve, Seen]]:
+    """A motion of the branch at each of the values where there is one."""
+    assert branch.curve is not None
+    at, which, first, _ = passages_of(branch, values)
+    chosen = np.flatnonzero(which == 0)
+    places = [(int(first[k]), float(values[at[k]])) for k in chosen]
+    walk = walk_of(branch.curve, branch.period, branch.range)
+    both = zip(*motions_at(branch.path, walk, branch.period, places), strict=True)
+    return {
+        value: (motion, seen)
+        for (_, value), (motion, seen) in zip(places, both, strict=True)
+        if motion is not None and seen is not None
+    }
+
+
+def _settled(
+    path: AbstractPath, plan: Plan, at: dict[float, tuple[OnCurve, Seen]]
+) -> list[Candidate]:
+    """March from random states: where those settle on motions of the period."""
+    values = np.repeat(list(at), STARTS)
+    if not len(values):
+        return []
+    lanes = np.zeros(len(values), int)
+    phases = jax.device_get(localise(path, lanes, values, True)).phases
+    assert phases is not None  # of linear stops
+    random = np.random.default_rng(0)
+    weight = np.asarray(phases.weight)
+    starts = random.normal(size=weight.shape) / weight
+    states = np.repeat([seen.initial_state for _, seen in at.values()], STARTS, axis=0)
+    reached = [np.abs(_at_stops(phases.towards_stop, s)) for s in (states, starts)]
+    wanted = (phases.gap + reached[0]).max(axis=1) * random.uniform(0.3, LARGEST, len(values))
+    starts = starts * (wanted / reached[1].max(axis=1))[:, None]
+    paths = jax.tree.map(lambda a: np.asarray(a)[lanes], path)
+    settled, good = settled_states(paths, values, plan.period, True, starts)
+    return [(float(v), s) for v, s in zip(values[good], settled[good], strict=True)]
+
+
+def _at_stops(towards_stop: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Displacements at the stops of some states."""
+    return np.einsum("...sq,...q->...s", towards_stop, np.split(states, 2, axis=-1)[0])
+
+
+def _by_opening(
+    path: AbstractPath, plan: Plan, at: dict[float, tuple[OnCurve, Seen]]
+) -> list[Candidate]:
+    """Walk in the opening of all gaps from motions: what is passed where it is zero again."""
+    values = np.array(list(at))
+    if not len(values):
+        return []
+    local = jax.device_get(localise(path, np.zeros(len(values), int), values, True))
+    phases, rigs, jobs = local.phases, CurveRigs(OpenedPath(local.place), plan.period), []
+    assert phases is not None  # of linear stops
+    for k, (motion, _) in enumerate(at.values()):
+        (search,) = CurveRigs(path, plan.period).searches(float(values[k]), 1.0)
+        position, speed = np.split(motion.state / search.unit, 2)
+        w = float(np.asarray(local.place.angular_frequency)[k])
+        reach = np.hypot(phases.towards_stop[k] @ position, phases.towards_stop[k] @ speed / w)
+        scale = 2 * float(reach.max()) + 1e-12
+        search = replace(search, scale=scale)
+        low, high = -0.999 * float(np.min(phases.gap[k])), WIDEST * float(reach.max())
+        if low >= 0:
+            continue
+        start = replace(motion, parameter=0.0, parameter_along=0.0)
+        for way in (1.0, -1.0):
+            walk = Walk(search, low, high, plan.longest_step, MOST_POINTS)
+            jobs.append(Job(_passed(walk, start, way), rigs, k, search.unit, scale))
+    found = run_together(jobs)
+    return [(float(values[job.lane]), s) for job, own in zip(jobs, found, strict=True) for s in own]
+
+
+def _passed(walk: Walk, start: OnCurve, way: float) -> Steps:
+    """Walk, and solve for the motions at which the parameter is zero again."""
+    begin = yield from walk.search.solve(walk.search.pinned(start, 0.0))
+    if begin is None:
+        return []
+    yield from walk.go(begin, way)
+    states = []
+    for k, (a, b) in enumerate(pairwise(walk.points)):
+        if k and a.parameter * b.parameter < 0:
+            _, seen = yield from between(walk, k, 0.0)
+            if seen is not None:
+                states.append(seen.initial_state)
+    return states
+
+
+def _solved(
+    plan: Plan, rigs: CurveRigs, candidates: list[Candidate]
+) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """Solve for motions near candidates: their values, states, and what tells them apart."""
+    if not candidates:
+        return []
+    (search,) = rigs.searches(candidates[0][0], plan.scale)
+
+    def steps(value: float, state: np.ndarray) -> Steps:
+        motion = yield from motion_near(search, search.unit * state, value)
+        if motion is None:
+            return None, None
+        (seen,) = yield Look([motion])
+        return motion, seen
+
+    jobs = [Job(steps(*each), rigs, 0, search.unit, search.scale) for each in candidates]
+    both = [(m, s) for m, s in run_together(jobs) if m is not None]
+    if not both:
+        return []
+    motions, seen = [m for m, _ in both], [s for _, s in both]
+    columns = columns_of_motions(rigs.paths, 0, motions, seen, plan.period)
+    numbers = np.array([columns[name] for name in COMPARED]).T
+    return list(zip(columns["values"].tolist(), columns["initial_state"], numbers, strict=True))
