@@ -46,6 +46,8 @@ def isolas_of(plan: Plan, branch: BranchPoints) -> list[BranchPoints]:
     edges = np.linspace(plan.low, plan.high, PLACES + 1)
     values = (edges[:-1] + edges[1:]) / 2
     values = values[(branch.values.min() < values) & (values < branch.values.max())]
+    if not len(values):
+        return []
     plan = plan._replace(labels=[branch.labels])
     rigs = CurveRigs(branch.path, plan.period)
     at = _motions_of(branch, values)
@@ -91,9 +93,9 @@ def _settled(
     path: AbstractPath, plan: Plan, at: dict[float, tuple[OnCurve, Seen]]
 ) -> list[Candidate]:
     """March from random states: where those settle on motions of the period."""
-    values = np.repeat(list(at), STARTS)
-    if not len(values):
+    if not at:
         return []
+    values = np.repeat(list(at), STARTS)
     lanes = np.zeros(len(values), int)
     phases = jax.device_get(localise(path, lanes, values, True)).phases
     assert phases is not None  # of linear stops
@@ -118,9 +120,9 @@ def _by_opening(
     path: AbstractPath, plan: Plan, at: dict[float, tuple[OnCurve, Seen]]
 ) -> list[Candidate]:
     """Walk in the opening of all gaps from motions: what is passed where it is zero again."""
-    values = np.array(list(at))
-    if not len(values):
+    if not at:
         return []
+    values = np.array(list(at))
     local = jax.device_get(localise(path, np.zeros(len(values), int), values, True))
     phases, rigs, jobs = local.phases, CurveRigs(OpenedPath(local.place), plan.period), []
     assert phases is not None  # of linear stops
