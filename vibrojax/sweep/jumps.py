@@ -2,8 +2,10 @@
 
 import numpy as np
 
-DISTINCT = 0.1
-"""Relative difference of amplitude from which two branches are different."""
+DISTINCT, MOVING = 0.01, 0.1
+"""Relative difference of amplitude from which two motions are different; if one has not settled."""
+STEEPER = 5.0
+"""Change over those beside it that a jump has at the least: at a fold a curve turns up steeply."""
 
 
 class Jumps:
@@ -44,16 +46,16 @@ class Jumps:
         return first(self.exists & self.rises), first(self.exists & ~self.rises)
 
 
-def find_jumps(amplitude: np.ndarray, directions: tuple[str, ...]) -> Jumps:
+def find_jumps(amplitude: np.ndarray, settled: np.ndarray, directions: tuple[str, ...]) -> Jumps:
     """Find the jump of each direction in amplitudes of shape (..., directions, frequencies).
 
     A jump leaves a branch that the other direction is not on and lands where the other direction
     is: the largest such change. With one direction alone, the largest change that is out of all
-    proportion to its neighbours.
+    proportion to those beside it and to most.
     """
     *lanes, n = amplitude.shape
     before, after, rises = np.full(lanes, -1), np.full(lanes, -1), np.zeros(lanes, bool)
-    for lane in np.ndindex(*lanes):
+    for lane in np.ndindex(*lanes) if n > 1 else ():
         *outer, k = lane
         own = amplitude[lane]
         ahead, behind = np.arange(n - 1), np.arange(1, n)
@@ -62,16 +64,21 @@ def find_jumps(amplitude: np.ndarray, directions: tuple[str, ...]) -> Jumps:
         change = own[behind] - own[ahead]
         size = np.abs(change)
         if len(directions) == 2:
-            other = amplitude[(*outer, 1 - k)]
-            larger = np.maximum(np.maximum(own, other), 1e-300)
-            apart = np.abs(own - other) > DISTINCT * larger
-            jumps = apart[ahead] & ~apart[behind] & (size > DISTINCT * larger[ahead])
+            twin = (*outer, 1 - k)
+            other = amplitude[twin]
+            least = np.where(settled[lane] & settled[twin], DISTINCT, MOVING)
+            larger = least * np.maximum(np.maximum(own, other), 1e-300)
+            apart = np.abs(own - other) > larger
+            jumps = apart[ahead] & ~apart[behind] & (size > larger[ahead])
+            jumps &= ~(size < np.abs(other[behind] - other[ahead]))  # else the other one jumps
         else:
-            typical = np.median(size) if n > 2 else 0.0
-            largest = np.maximum(own[ahead], own[behind])
-            jumps = (size > 10 * typical) & (size > 3 * DISTINCT * largest)
+            beside = np.pad(size, 1)
+            usual = np.maximum(2 * np.median(size), np.fmax(beside[:-2], beside[2:]))
+            least = np.where(settled[lane], DISTINCT, MOVING)
+            larger = np.maximum(own[ahead], own[behind])
+            jumps = (size > STEEPER * usual) & (size > np.maximum(*least[[ahead, behind]]) * larger)
         size = np.where(jumps & np.isfinite(size), size, -1.0)
-        if n > 1 and size.max() > 0:
+        if size.max() > 0:
             at = int(np.argmax(size))
             before[lane], after[lane], rises[lane] = ahead[at], behind[at], change[at] > 0
     return Jumps(before, after, rises)

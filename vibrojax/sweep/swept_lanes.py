@@ -128,6 +128,9 @@ def _variables(arrived: Settled, reference: Float[np.ndarray, " lanes"]) -> dict
     }
 
 
+HALVE, RETRY, EXPAND = range(3)
+
+
 class _Grid:
     """Feed of lanes that go through the grid, upwards or downwards."""
 
@@ -164,42 +167,50 @@ class _Grid:
 
 
 class _Bisection:
-    """Feed of lanes that jump: halve the bracket, each try starting before the jump."""
+    """Feed of lanes that jump: halve the bracket, each try starting before the jump.
+
+    A step in frequency can make a lane jump ahead of the end of its branch. So the end behind the
+    jump is tried again from next to it; where the lane stays then, it goes on in steps that grow,
+    until it jumps, and the bracket is halved anew.
+    """
 
     def __init__(self, bracket, start, end, settled_before, state, halvings, unit, reference):
         self.low, self.high = bracket[:, 0].copy(), bracket[:, 1].copy()  # before, after
         self.start, self.end, self.settled_before = start.copy(), end, settled_before
-        self.state, self.halvings, self.unit, self.reference = state, halvings, unit, reference
-        self.span = self.high - self.low
-        self.tried = np.zeros(len(start), int)
-        self.extended = np.zeros(len(start), int)
-        self.inside = np.zeros(len(start), bool)
+        self.state, self.unit, self.reference = state, unit, reference
+        span = self.high - self.low
+        self.width, self.last = span / 2.0**halvings, self.low + EXTENSIONS * span
+        self.step = self.width.copy()
+        self.stage = np.full(len(start), HALVE)
+
+    def trial(self, lanes: np.ndarray) -> np.ndarray:
+        """Where lanes are tried next, in the unit of the bracket."""
+        low, high, step = self.low[lanes], self.high[lanes], self.step[lanes]
+        return np.choose(self.stage[lanes], [(low + high) / 2, high, low + step])
 
     def frequency(self, lanes: np.ndarray) -> np.ndarray:
-        """Angular frequency of the middle of the bracket, rad/s."""
-        return (self.low + self.high)[lanes] / 2 * self.unit[lanes]
+        """Angular frequency of the next try, rad/s."""
+        return self.trial(lanes) * self.unit[lanes]
 
     def onwards(self, arrived: Settled) -> Onwards:
-        """Keep the half that holds the jump."""
+        """Keep the part that holds the jump."""
         k = arrived.lanes
-        found = _variables(arrived, self.reference[k])
-        value, middle = found["amplitude_ratio"], (self.low + self.high)[k] / 2
+        found, tried, stage = _variables(arrived, self.reference[k]), self.trial(k), self.stage[k]
+        value = found["amplitude_ratio"]
         same = np.abs(value - self.start[k]) < np.abs(value - self.end[k])
         # Just past a fold a lane lingers near the lost branch without settling on it.
         same &= (found["period"] > 0) | ~self.settled_before[k]
-        self.inside[k] |= ~same
-        self.low[k] = np.where(same, middle, self.low[k])
-        self.high[k] = np.where(same, self.high[k], middle)
+        self.low[k] = np.where(same, tried, self.low[k])
+        self.high[k] = np.where(same & (stage == HALVE), self.high[k], tried)
         self.start[k] = np.where(same, value, self.start[k])
         self.state[k] = np.where(same[:, None], arrived.state, self.state[k])
-        self.tried[k] += 1
-        # A coarse grid step can leave the branch ahead of its end: then look further on.
-        through = self.tried[k] >= self.halvings[k]
-        further = through & ~self.inside[k] & (self.extended[k] < EXTENSIONS - 1)
-        self.high[k] = np.where(further, self.low[k] + self.span[k], self.high[k])
-        self.extended[k] += further
-        self.tried[k] = np.where(further, 0, self.tried[k])
-        return Onwards(~through | further, self.frequency(k), self.state[k], same)
+        self.step[k] = np.where(same & (stage == EXPAND), 2 * self.step[k], self.width[k])
+        narrow = np.abs(self.high[k] - self.low[k]) <= 1.000001 * np.abs(self.width[k])
+        over = np.abs(self.last[k] - self.low[k]) <= np.abs(self.step[k])
+        onwards = np.where(same & (stage != HALVE), EXPAND, np.where(narrow, RETRY, HALVE))
+        done = np.where(onwards == EXPAND, over, (stage != HALVE) & ~same & narrow)
+        self.stage[k] = onwards
+        return Onwards(~done, self.frequency(k), self.state[k], same)
 
 
 def compile_ahead(plan: SweepPlan, rigs: Rigs) -> None:
@@ -240,7 +251,8 @@ def sweep_rigs(
     pool.run(np.zeros((len(rig), states)), feed.frequency(every), feed.onwards, report)
     shape = (count, ways, len(plan.grid))
     curves = {name: values.reshape(shape) for name, values in feed.curves.items()}
-    found = find_jumps(curves["amplitude_ratio"], plan.directions)
+    settled = curves["status"] == Status.settled.value
+    found = find_jumps(curves["amplitude_ratio"], settled, plan.directions)
     found.fill_brackets(plan.grid)
     swept = Swept(curves, feed.states.reshape(*shape, states), found, first / (2 * np.pi))
     if plan.refine_jumps is not None and found.any():
