@@ -178,6 +178,8 @@ LONG = {
             "gradient_of_simulate",
             "explore_a_picture",
             "parameter_map_of_branches",
+            "periodic_response_shot",
+            "identify_a_history",
         )
     ),
     "test_notebooks": (
@@ -204,6 +206,10 @@ LONG = {
         "test_gradients_of_a_history[hertz]",
         "test_gradients_of_a_history[hunt_crossley]",
         "test_gradients_of_a_history[rubber]",
+    ),
+    "test_simulate": (
+        "test_gradients_nest_with_vmap",
+        "test_reverse_mode_matches_forward_mode_where_intervals_take_many_attempts",
     ),
     "test_linearly_implicit": ("test_gradients_of_a_window_nest_with_vmap",),
     "test_energy_flow": (
