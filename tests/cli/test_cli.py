@@ -185,7 +185,7 @@ def test_wrong_settings(folder, capsys, options):
         ("density = 8250", "density = 0", "[beam] density must be above 0"),
         ("130e9", "-1", "[beam] youngs_modulus must be above 0 Pa"),
         ("thickness = 1e-3", "thickness = 0", "[beam] thickness must be above 0 m"),
-        ("gap = 0.4e-3", "gap = -1", "[[stop]] gap must be at least 0 m"),
+        ("gap = 0.4e-3", "gap = inf", "[[stop]] gap must be a finite length in m"),
         ("stiffness = 5500", "stiffness = -1", "[[stop]] stiffness must be at least 0"),
         ("damping = 5e-5", "damping = -1", "[[stop]] damping must be at least 0"),
         ("position = 0.5", "position = 1.1", "[[stop]] position must be above 0 (root)"),

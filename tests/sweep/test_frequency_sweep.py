@@ -5,6 +5,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+import scipy.integrate
 import xarray
 from splitting_settings import with_settings
 
@@ -334,8 +335,8 @@ def test_wrong_axes(values):
 
 
 def test_wrong_numbers_on_an_axis_are_refused_before_anything_runs(rig):
-    with pytest.raises(ValueError, match=r"^gap must be at least 0 m, got -0.001"):
-        vj.frequency_sweep(lambda gap: rig(gap=gap), frequency_ratio=[1.0], gap=[1e-3, -1e-3])
+    with pytest.raises(ValueError, match=r"^taper must be .*, got -0.001"):
+        vj.frequency_sweep(lambda taper: rig(taper=taper), frequency_ratio=[1.0], taper=[0, -1e-3])
     with pytest.raises(ValueError, match=r"^All systems of a study must have the same structure"):
         vj.frequency_sweep(
             lambda modes: rig(num_modes=int(modes)), frequency_ratio=[1.0], modes=[2, 3]
@@ -401,3 +402,35 @@ def test_small_jumps_are_seen_too(rig, step):
     low, high = found.jump_up_bracket
     assert low < 1.01906478 < high < low + 1e-4
     assert found.jump_down == pytest.approx(1.11564421, abs=1e-8)
+
+
+@pytest.mark.slow
+def test_a_preloaded_stop(rig):
+    """Pressed in at rest: history, sweep and branch beside an independent integration."""
+    preload = 5e-5
+    one = rig(num_modes=2, gap=-preload, damping=0.5)
+    equations = one.equations()
+    w = np.asarray(equations.angular_frequency)
+    place, push = np.asarray(equations.stop_map)[0], np.asarray(equations.force_map)[:, 0]
+    drive = 1.4 * w[0]
+    amplitude = 2e-4 * drive**2 * np.asarray(equations.input_map)  # of the base
+
+    def rates(t, y):
+        q, v = y[:2], y[2:]
+        depth, rate = place @ q + preload, place @ v
+        force = (5500.0 * depth + 0.5 * rate) * (depth > 0)
+        pushed = (amplitude * np.exp(1j * drive * t)).imag - push * force
+        return np.concatenate([v, pushed - 2 * 0.018 * w * v - w**2 * q])
+
+    history = vj.simulate(one, frequency_ratio=1.4, periods=20, samples_per_period=32)
+    time = np.asarray(history.time)
+    period = 2 * np.pi / drive
+    settings = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-14, "max_step": period / 400}
+    found = scipy.integrate.solve_ivp(rates, time[[0, -1]], np.zeros(4), t_eval=time, **settings)
+    moved = np.asarray(history.coordinates)
+    np.testing.assert_allclose(moved, found.y[:2].T, atol=1e-8 * np.abs(moved).max())
+    swept = vj.frequency_sweep(one, frequency_ratio=np.array([1.3, 1.4, 1.5]))
+    assert (swept.contact_force > 0).all()
+    branch = vj.continue_response(one, frequency_ratio=vj.Range(1.2, 1.6))
+    assert branch.completed
+    assert (branch.compare(swept).on_branch == 1).all()

@@ -123,7 +123,7 @@ def _fold(system, frame, times, unknown, jacobian, error, is_ratio) -> Fold:
     reading = read_motion(tables, frame.events, motion, 1)
     assert path.phases is not None
     reference, _ = path.drive.reference
-    found = good & reading.ordered & (reading.breach <= 1e-7 * jnp.max(path.phases.gap))
+    found = good & reading.ordered & (reading.breach <= 1e-7 * jnp.max(jnp.abs(path.phases.gap)))
     lost = jnp.where(found, 0.0, jnp.nan)
     return Fold(
         parameter=value + lost,

@@ -30,8 +30,8 @@ PLACES, STARTS = 12, 8
 """Values of the parameter at which it is looked for others, and random starts at each."""
 LARGEST = 4.0
 """Largest displacement of a start at a stop, over its gap and what the branch reaches."""
-WIDEST = 3.0
-"""Widest opening of the gaps, over what the branch reaches."""
+WIDEST = 1.5
+"""Widest opening of the gaps, over twice what the branch reaches; they close by that."""
 MOST_POINTS = 400
 """Points of a walk in the opening."""
 
@@ -104,7 +104,9 @@ def _settled(
     starts = random.normal(size=weight.shape) / weight
     states = np.repeat([seen.initial_state for _, seen in at.values()], STARTS, axis=0)
     reached = [np.abs(_at_stops(phases.towards_stop, s)) for s in (states, starts)]
-    wanted = (phases.gap + reached[0]).max(axis=1) * random.uniform(0.3, LARGEST, len(values))
+    wanted = (np.abs(phases.gap) + reached[0]).max(axis=1) * random.uniform(
+        0.3, LARGEST, len(values)
+    )
     starts = starts * (wanted / reached[1].max(axis=1))[:, None]
     paths = jax.tree.map(lambda a: np.asarray(a)[lanes], path)
     settled, good = settled_states(paths, values, plan.period, True, starts)
@@ -133,12 +135,9 @@ def _by_opening(
         reach = np.hypot(phases.towards_stop[k] @ position, phases.towards_stop[k] @ speed / w)
         scale = 2 * float(reach.max()) + 1e-12
         search = replace(search, scale=scale)
-        low, high = -0.999 * float(np.min(phases.gap[k])), WIDEST * float(reach.max())
-        if low >= 0:
-            continue
         start = replace(motion, parameter=0.0, parameter_along=0.0)
         for way in (1.0, -1.0):
-            walk = Walk(search, low, high, plan.longest_step, MOST_POINTS)
+            walk = Walk(search, -scale, WIDEST * scale, plan.longest_step, MOST_POINTS)
             jobs.append(Job(_passed(walk, start, way), rigs, k, search.unit, scale))
     found = run_together(jobs)
     return [(float(values[job.lane]), s) for job, own in zip(jobs, found, strict=True) for s in own]

@@ -229,7 +229,7 @@ def exact_pieces(
     places = places_for(phases, float(np.max(duration)))
     q = states[:, : phases.num_blocks]
     reach = np.max(np.abs(q) @ np.abs(np.asarray(phases.towards_stop)).T, initial=0.0)
-    near = jnp.asarray(NEAR * (reach + np.max(np.asarray(phases.gap), initial=0.0)))
+    near = jnp.asarray(NEAR * (reach + np.max(np.abs(np.asarray(phases.gap)), initial=0.0)))
     columns, moments, lengths = map(jnp.asarray, (states[:-1].T, time[:-1], duration))
     begun = map(np.asarray, _begun(motion, columns, moments, lengths, near))
     work = Pieces(np.arange(duration.size), np.zeros(duration.size), duration, *begun)

@@ -306,7 +306,7 @@ class LinearEquations(AbstractEquations):
 
 def contact_slope(stop: Stop) -> Float[Array, "*lanes"]:
     """Stiffness of a stop not touched before, N/m: at a tenth of its gap, beyond the rounding."""
-    depth = jnp.maximum(0.1 * jnp.asarray(stop.gap), 10 * jnp.asarray(stop.width))
+    depth = jnp.maximum(0.1 * jnp.abs(jnp.asarray(stop.gap)), 10 * jnp.asarray(stop.width))
     depth = jnp.maximum(depth, 1e-9)
     _, slope = jax.jvp(
         lambda d: stop.force(d, jnp.zeros_like(d)), (depth,), (jnp.ones_like(depth),)

@@ -8,6 +8,7 @@ from vibrojax._tools.checks import (
     check_choice,
     check_not_negative,
     check_position,
+    check_range,
     concrete,
     number_field,
 )
@@ -55,15 +56,16 @@ def smooth_switch(penetration: Values, width: ArrayLike) -> Values:
 class Stop(eqx.Module):
     """A stop screwed to the base of the beam.
 
-    Raises `ValueError` for a position outside (0, 1], a negative gap or smoothing, a side other
-    than +1 and -1, or a law that is not an `AbstractContactLaw`. Source: Gandhi and Vyas 2017,
-    fig. 3 and eq. 7.
+    Raises `ValueError` for a position outside (0, 1], a gap that is not finite, a negative
+    smoothing, a side other than +1 and -1, or a law that is not an `AbstractContactLaw`. Source:
+    Gandhi and Vyas 2017, fig. 3 and eq. 7.
     """
 
     position: Number | None = number_field()
     """Place along the beam, s1 = x/L; None for a `MatrixSystem`, whose `stop_map` places it."""
     gap: Number = number_field("m")
-    """Clearance lambda between the beam at rest and the stop, m."""
+    """Clearance lambda between the undeformed beam and the stop, m. Negative: the stop is
+    preloaded, pressed in by so much where the beam is undeformed."""
     law: AbstractContactLaw  # pyright: ignore[reportGeneralTypeIssues]
     """Force as a function of penetration and rate."""
     side: int = eqx.field(static=True, default=1)
@@ -78,7 +80,7 @@ class Stop(eqx.Module):
     def __check_init__(self) -> None:
         """Refuse concrete values that are not a stop."""
         check_position("position", self.position)
-        check_not_negative("gap", self.gap, "m")
+        check_range("gap", self.gap, allowed="a finite length in m")
         check_choice("side", self.side, (1, -1))
         if self.smoothing is not None:
             check_not_negative("smoothing", self.smoothing, "m")
@@ -86,7 +88,7 @@ class Stop(eqx.Module):
     @property
     def width(self) -> ArrayLike:
         """Width of the rounded corner for methods that need one, m."""
-        return DEFAULT_SMOOTHING * self.gap if self.smoothing is None else self.smoothing
+        return DEFAULT_SMOOTHING * abs(self.gap) if self.smoothing is None else self.smoothing
 
     @property
     def is_linear(self) -> bool:

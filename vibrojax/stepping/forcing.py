@@ -51,7 +51,7 @@ def forcing(
     gap = spread(phases.gap, 1, angular_frequency.ndim)
     pushed = _complex_apply(phases.readout[0, :stops], driven[0])
     moved = jnp.abs(read[0, :stops]) + jnp.abs(pushed) / angular_frequency
-    size = jnp.where(gap > 0, gap, moved)
+    size = jnp.where(gap == 0, moved, jnp.abs(gap))
     size = jnp.min(size, axis=0) if stops else jnp.zeros_like(angular_frequency)
     return Forcing(
         angular_frequency=angular_frequency,

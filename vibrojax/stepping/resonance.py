@@ -110,7 +110,7 @@ def undamped_at(equations: AbstractEquations, drive: AbstractDrive) -> Float[Arr
 
 
 def _pushes(stop: Stop) -> Bool[Array, ""]:
-    depth = jnp.maximum(jnp.asarray(stop.gap, float), 1e-9)
+    depth = jnp.maximum(jnp.abs(jnp.asarray(stop.gap, float)), 1e-9)
     return (contact_slope(stop) != 0) | (stop.force(depth, jnp.ones_like(depth)) != 0)
 
 
