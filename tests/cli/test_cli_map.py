@@ -352,7 +352,7 @@ def test_what_the_rig_has_not(capsys, asked):
 
 def test_what_the_map_itself_refuses_is_one_line(folder, capsys):
     for words, sentence in (
-        (["--axis", "gap=-1e-3,1e-3"], "gap must be at least 0 m"),
+        (["--axis", "position=-1e-3,1e-3"], "position must be"),
         (["--axis", "gap=1e-3,1e-3"], "gap has the value 0.001 twice"),
         (["--axis", "gap=1e-3,2e-3", "--measures", "jump"], "Unknown measure 'jump'"),
         (

@@ -198,7 +198,7 @@ def test_measured_points_are_laid_over():
         (dict(gap=[1e-4, 1e-3], stiffness=vj.Range(1e3, 1e4)), "gap must be a range"),
         (dict(gap=0.4e-3), "at least one number a range"),
         (dict(gab=GAP), "Did you mean 'gap'"),
-        (dict(gap=vj.Range(-1e-4, 1e-3)), "gap"),
+        (dict(taper=vj.Range(-0.1, 0.5)), "taper must be"),
         (dict(gap=GAP, frequency_ratio=vj.Range(0.0, 0.9)), "frequency_ratio must be"),
         (dict(gap=GAP, frequency_ratio=(0.9, 1.2)), "frequency_ratio must be a Range"),
         (dict(gap=GAP, variable="amplitude"), "variable must be one of"),

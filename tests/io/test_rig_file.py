@@ -159,7 +159,7 @@ def test_settings_go_into_a_sweep(tmp_path):
         ("density = 8250", "density = -1", r"\[beam\] density must be above 0"),
         ("130e9", "0", r"\[beam\] youngs_modulus must be above 0 Pa"),
         ("thickness = 1e-3", "thickness = 0", r"\[beam\] thickness must be above 0 m"),
-        ("gap = 0.4e-3", "gap = -1e-3", r"\[\[stop\]\] gap must be at least 0 m"),
+        ("gap = 0.4e-3", "gap = inf", r"\[\[stop\]\] gap must be a finite length"),
         ("stiffness = 5500", "stiffness = -1", r"\[\[stop\]\] stiffness must be at least 0"),
         ("damping = 5e-5", "damping = -1", r"\[\[stop\]\] damping must be at least 0"),
         ("position = 0.5", "position = 0", r"\[\[stop\]\] position must be above 0"),
@@ -222,8 +222,8 @@ def test_wrong_files(tmp_path, old, new, sentence):
 
 
 def test_second_stop_is_named(tmp_path):
-    stop = "[[stop]]\nposition = 0.5\ngap = -1.0\nstiffness = 1\n"
-    with pytest.raises(ValueError, match=r"\[\[stop\]\] 2: gap must be at least 0"):
+    stop = "[[stop]]\nposition = 0.5\ngap = inf\nstiffness = 1\n"
+    with pytest.raises(ValueError, match=r"\[\[stop\]\] 2: gap must be a finite length"):
         vj.io.read_rig(write(tmp_path, DEFAULT.replace("[drive]", stop + "[drive]")))
 
 

@@ -255,7 +255,7 @@ def test_quiet_where_there_is_no_terminal(capfd):
 REFUSALS = [
     ({"gap": [3e-4], "frequency": [9.0]}, "frequency_ratio or frequency, one of the two"),
     ({"gab": [3e-4]}, "Unknown argument 'gab' of the rig. Did you mean 'gap'"),
-    ({"gap": [-1e-4]}, "gap must be at least 0 m"),
+    ({"taper": [-0.1]}, "taper must be at least 0 and below 1"),
     ({"gap": []}, "gap is an empty axis"),
     ({"gap": [3e-4], "response": "swep"}, "response must be one of 'sweep', 'periodic'"),
     ({"gap": [3e-4], "measures": ["peak"]}, "Unknown measure 'peak'"),

@@ -64,7 +64,7 @@ CALLS = {
     "tolerance must be a number": lambda: vj.frequency_sweep(
         RIG, **AT, settings=vj.SweepSettings(tolerance="low")
     ),
-    "gap must be at least 0 m": lambda: vj.frequency_sweep(vj.default_rig, gap=[-1e-3], **AT),
+    "taper must be at least 0": lambda: vj.frequency_sweep(vj.default_rig, taper=[-1e-3], **AT),
     "frequency_ratio must be one number": lambda: vj.periodic_response(
         RIG, frequency_ratio=[1.0, 1.1]
     ),
