@@ -437,9 +437,9 @@ def test_systems_that_cannot_be_followed(rig):
         vj.continue_response(
             lambda gap: rig(gap=gap), frequency_ratio=RANGE, gap=GAPS, start=(np.zeros(10), 1.0)
         )
-    with pytest.raises(ValueError, match=r"gap"):  # the ends of a range are built, so checked
+    with pytest.raises(ValueError, match=r"taper"):  # the ends of a range are built, so checked
         vj.continue_response(
-            lambda gap: rig(gap=gap), frequency_ratio=1.0, gap=vj.Range(-1e-3, 1e-3)
+            lambda taper: rig(taper=taper), frequency_ratio=1.0, taper=vj.Range(-0.1, 0.5)
         )
 
 
