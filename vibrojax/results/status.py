@@ -36,6 +36,6 @@ _SENTENCES = {
     Status.diverged: "The state stopped being finite.",
     Status.gave_up: (
         "Contacts came too fast to be gone through in the rounds allowed for a drive period: raise "
-        "ExactContact(max_rounds=...)."
+        "ExactContact(max_rounds=...), or march with another stepper where that does not help."
     ),
 }
