@@ -53,12 +53,22 @@ def motion_near(search: CurveSearch, state: Float[np.ndarray, " states"], value:
     return None
 
 
-def opened(walk: Walk, free: OnCurve, reach: float) -> Steps:
+def reach(
+    towards_stop: Float[np.ndarray, "stops modes"],
+    state: Float[np.ndarray, " states"],
+    angular_frequency: float,
+) -> Float[np.ndarray, " stops"]:
+    """How far towards the stops, m, a harmonic motion gets that has a state (q, q')."""
+    position, speed = np.split(state, 2)
+    return np.hypot(towards_stop @ position, towards_stop @ speed / angular_frequency)
+
+
+def opened(walk: Walk, free: OnCurve, beyond: float) -> Steps:
     """Walk from gaps that are opened until nothing touches back to those of the rig.
 
-    `walk` is along the opening, m; `reach` is how far a free motion gets beyond a stop, m.
+    `walk` is along the opening, m; `beyond` is how far a free motion gets beyond a stop, m.
     """
-    widest = WIDER * reach + 1e-12
+    widest = WIDER * beyond + 1e-12
     walk.low, walk.high = 0.0, 1.2 * widest
     start = yield from walk.search.solve(at_value(FREE, np.zeros(0), free.state, widest))
     if start is None:

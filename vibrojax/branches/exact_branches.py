@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.branches.beginning import doubled, free_flight, motion_near, opened
+from vibrojax.branches.beginning import doubled, free_flight, motion_near, opened, reach
 from vibrojax.branches.continuation import Ending
 from vibrojax.branches.exact_results import columns_of_motions, curve_of, special_results
 from vibrojax.branches.finishing import branch_of, nothing
@@ -136,12 +136,11 @@ def _by_opening(
     assert phases is not None  # of linear stops
     for i, k in enumerate(left):
         walk, motion = walks[k], free[k][0]
-        places, w = phases.towards_stop[i], float(np.asarray(local.place.angular_frequency)[i])
-        position, speed = np.split(motion.state / walk.search.unit, 2)
-        reach = float(np.max(np.hypot(places @ position, places @ speed / w) - phases.gap[i]))
-        scale = 2.0 * max(reach, 1e-12)
+        state, w = motion.state / walk.search.unit, local.place.angular_frequency[i]
+        beyond = float(np.max(reach(phases.towards_stop[i], state, w) - phases.gap[i]))
+        scale = 2.0 * max(beyond, 1e-12)
         along = walk.anew(replace(walk.search, scale=scale, asked=0), 0.0, 0.0)
-        jobs[k] = _job(along, wider, i, opened(along, motion, reach))
+        jobs[k] = _job(along, wider, i, opened(along, motion, beyond))
     ends = dict(zip(jobs, run_together(list(jobs.values())), strict=True))
 
     def there(k: int) -> Any:

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.branches.beginning import motion_near
+from vibrojax.branches.beginning import motion_near, reach
 from vibrojax.branches.comparing import COMPARED, SAME
 from vibrojax.branches.exact_branches import walk_from
 from vibrojax.branches.exact_results import between, columns_of_motions, motions_at, walk_of
@@ -51,7 +51,7 @@ def isolas_of(plan: Plan, branch: BranchPoints) -> list[BranchPoints]:
     plan = plan._replace(labels=[branch.labels])
     rigs = CurveRigs(branch.path, plan.period)
     at = _motions_of(branch, values)
-    candidates = _settled(branch.path, plan, at) + _by_opening(branch.path, plan, at)
+    candidates = _settled(branch.path, plan, at) + _by_opening(branch, plan, at)
     found: list[BranchPoints] = []
     known = [resample(branch, values)]
     for value, state, numbers in _solved(plan, rigs, candidates):
@@ -119,22 +119,20 @@ def _at_stops(towards_stop: np.ndarray, states: np.ndarray) -> np.ndarray:
 
 
 def _by_opening(
-    path: AbstractPath, plan: Plan, at: dict[float, tuple[OnCurve, Seen]]
+    branch: BranchPoints, plan: Plan, at: dict[float, tuple[OnCurve, Seen]]
 ) -> list[Candidate]:
     """Walk in the opening of all gaps from motions: what is passed where it is zero again."""
     if not at:
         return []
-    values = np.array(list(at))
-    local = jax.device_get(localise(path, np.zeros(len(values), int), values, True))
+    assert branch.curve is not None
+    values, followed = np.array(list(at)), walk_of(branch.curve, branch.period, branch.range).search
+    local = jax.device_get(localise(branch.path, np.zeros(len(values), int), values, True))
     phases, rigs, jobs = local.phases, CurveRigs(OpenedPath(local.place), plan.period), []
     assert phases is not None  # of linear stops
     for k, (motion, _) in enumerate(at.values()):
-        (search,) = CurveRigs(path, plan.period).searches(float(values[k]), 1.0)
-        position, speed = np.split(motion.state / search.unit, 2)
-        w = float(np.asarray(local.place.angular_frequency)[k])
-        reach = np.hypot(phases.towards_stop[k] @ position, phases.towards_stop[k] @ speed / w)
-        scale = 2 * float(reach.max()) + 1e-12
-        search = replace(search, scale=scale)
+        state, w = motion.state / followed.unit, local.place.angular_frequency[k]
+        scale = 2 * float(reach(phases.towards_stop[k], state, w).max()) + 1e-12
+        search = replace(followed, scale=scale)
         start = replace(motion, parameter=0.0, parameter_along=0.0)
         for way in (1.0, -1.0):
             walk = Walk(search, -scale, WIDEST * scale, plan.longest_step, MOST_POINTS)
