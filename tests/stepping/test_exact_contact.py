@@ -343,3 +343,15 @@ def test_stops_on_either_side(rig):
 def test_wrong_settings_are_refused(settings, sentence):
     with pytest.raises(ValueError, match=f"^{sentence}"):
         vj.ExactContact(**settings)
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(1e6, 1e3), (1e8, 1e5)])
+def test_overdamped_stops_that_cannot_pull_cost_by_their_contacts(stiffness, damping):
+    """A fast real eigenvalue that has died out does not shorten the way that is looked ahead."""
+    rig = vj.default_rig(num_modes=2, position=0.6, stiffness=stiffness, damping=damping)
+    rig = eqx.tree_at(lambda r: r.stops[0].law, rig, vj.KelvinVoigt(stiffness, damping, False))
+    march = prepare(arrays(rig))
+    w = jnp.linspace(0.9, 1.5, 25) * rig.equations().angular_frequency[0]
+    end, rounds, _ = run(march, jnp.zeros((4, 25)), w, 60)
+    assert np.all(np.isfinite(end))
+    assert np.max(rounds) < 40 * 60

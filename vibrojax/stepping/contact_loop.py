@@ -219,16 +219,11 @@ class ContactLoop:
         if self.outlook is None:
             return Landing(none > 0, none, 0 * span, 0 * span, none)
         read = self.outlook.read(moved, phase, touching, self.phasor(begun + span))
-        value, slope, bend = self.outlook.breach(touching, read)
-        # Root of the parabola at which contact changes, in the form that does not cancel.
-        square = slope**2 - 2 * bend * value
-        real = square > 0
-        below = slope + jnp.sqrt(jnp.where(real, square, 1.0))
-        real &= below != 0
-        late = -2 * value / jnp.where(real, below, 1.0)
+        shortest = pick(phase, self.outlook.shortest)
+        value, slope, _ = self.outlook.breach(touching, read)
+        late, real = self.outlook.crossing(touching, read)
+        real &= (jnp.abs(late) <= shortest) | (late > -span)
         over, awaited = value > tolerance, self.numbers == expected
-        near = jnp.abs(late) <= pick(phase, self.outlook.shortest)
-        real &= near | (late > -span)
         # A motion that begins on a stop, as near as counts, is there already.
         here = awaited & ~real & (jnp.abs(value) <= tolerance) & (slope > 0)
         late = jnp.where(here, 0.0, late)
@@ -236,7 +231,7 @@ class ContactLoop:
         who = jnp.argmin(jnp.where(asked, late, jnp.inf), axis=0).astype(jnp.int32)
         nearest = pick(who, late)
         found = jnp.any(asked, axis=0)
-        lands = found & (jnp.abs(nearest) <= pick(phase, self.outlook.shortest))
+        lands = found & (jnp.abs(nearest) <= shortest)
         again = ~lands & (found | jnp.any(over, axis=0))
         better = jnp.where(found, jnp.clip(span + nearest, 0.05 * span, 1.5 * span), 0.5 * span)
         return Landing(

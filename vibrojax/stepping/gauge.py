@@ -206,13 +206,19 @@ class Gauge:
         self, blocks: Array, phase: Array, duration: Array, touching: Array
     ) -> Int[Array, "*lanes"]:
         """How many times `CELLS` cells a stretch is to have."""
-        tables = pick(phase, self.rows[:, :, :, 0]), pick(phase, self.turning.speed)
-        rows, speed, blocks, duration = lax.stop_gradient((*tables, blocks, duration))
+        tables = [pick(phase, self.rows[:, :, :, 0]), *(pick(phase, a) for a in self.turning)]
+        rows, decay, rate, speed, blocks, duration = lax.stop_gradient((*tables, blocks, duration))
         size = jnp.sqrt(blocks[0] ** 2 + blocks[1] ** 2)
         amplitude = jnp.sqrt(rows[0] ** 2 + rows[1] ** 2) * size[:, None]
-        whole, sixth = (
-            reduce(jnp.add, list(a)) for a in (amplitude, amplitude * speed[:, None] ** 6)
-        )
+        bends = amplitude * speed[:, None] ** 6
+
+        def apart() -> Array:
+            own = jnp.abs(rows * blocks[:, :, None]) * decay[:, :, None] ** 6
+            return jnp.where(rate[:, None] == 0, own[0] + own[1], bends)
+
+        # Of two real eigenvalues that make a pair the fast one may long have died out.
+        bends = where_needed(jnp.any(self.turning.rate == 0), apart, bends)
+        whole, sixth = (reduce(jnp.add, list(a)) for a in (amplitude, bends))
         bent = jnp.where(whole > 0, sixth / jnp.where(whole > 0, whole, 1.0), 0.0)
         # What a stop that is not touched would push with does not count.
         bent = reduce(jnp.maximum, list(jnp.where(touching, bent[:-2], 0.0)), bent[-1])

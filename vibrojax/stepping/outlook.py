@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.stepping.cubic import cubic_between
-from vibrojax.stepping.elementary import computed_once, pick
+from vibrojax.stepping.elementary import computed_once, pick, where_needed
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.signals import Turning, contact_signals, with_derivatives, with_wave
 from vibrojax.stepping.turns import (
@@ -90,6 +90,8 @@ class Outlook(eqx.Module):
     rest: Float[Array, "phases signals *lanes"]
     sway: Float[Array, "phases signals *lanes"]
     """What a drive in resonance may add in a second."""
+    creeps: Bool[Array, ""]
+    """Whether any phase has real eigenvalues."""
     pulls: bool = eqx.field(static=True)
 
     def signed(self, phase: Phase, touching: Which) -> tuple[Array, Array]:
@@ -114,6 +116,18 @@ class Outlook(eqx.Module):
         # Contact begins with depth and push, and ends where the push does.
         return jnp.where(touching | (push[:1] < depth[:1]), push, depth)
 
+    def crossing(self, touching: Which, read: Array) -> tuple[Array, Which]:
+        """When stops change their contact as parabolas have it, s, and whether they do."""
+        late, real = _rise(*self.breach(touching, read))
+        if self.pulls:
+            return late, real
+        begun = ~touching & jnp.logical_and(*jnp.split(read[0] > 0, 2))
+        # Where both are positive contact has begun, at the later of the roots that are past.
+        root, rises = _rise(*read)
+        past = jnp.maximum(*jnp.split(jnp.where(rises & (root <= 0), root, -jnp.inf), 2))
+        begun &= past > -jnp.inf
+        return jnp.where(begun, past, late), begun | real
+
     def look(
         self,
         blocks: Blocks,
@@ -136,13 +150,25 @@ class Outlook(eqx.Module):
         of_parts, of_steps = _turns(decay, rate, part, tick)
 
         def largest():
+            # Of every block in every signal for as long as it is looked at.
             growth = jnp.exp(jnp.maximum(jnp.max(decay, axis=0), 0.0) * LAST * step)
             size = jnp.sqrt(now[0] ** 2 + now[1] ** 2) * growth
-            return jnp.sqrt(rows[0, :, 0] ** 2 + rows[1, :, 0] ** 2) * size[:, None]
+            return jnp.sqrt(rows[0, :, 0] ** 2 + rows[1, :, 0] ** 2) * size[:, None], growth
 
-        # Of every block in every signal for as long as it is looked at.
-        amplitude = once(largest)
+        amplitude, growth = once(largest)
+
+        def apart():
+            # Of two real eigenvalues that make a pair the fast one may long have died out.
+            real = rate == 0
+            own = jnp.abs(rows[:, :, 0] * now[:, :, None]) * growth[:, None]
+            first = jnp.where(real[:, None], own[0], amplitude)
+            second = jnp.where(real[:, None], own[1], 0.0)
+            fast = jnp.where(real, jnp.abs(decay), speed)
+            each = _errors(first, fast[0] * step), _errors(second, fast[1] * step)
+            return jax.tree.map(jnp.add, *each)
+
         errors = once(lambda: _errors(amplitude, speed * step))
+        errors = where_needed(self.creeps, apart, errors)
         grid = once(lambda: _grid(_single((rows, now, rest, of_steps)), tick))
 
         def coarse():
@@ -287,6 +313,16 @@ def _single(numbers: Any) -> Any:
     return jax.tree.map(lambda a: a.astype(jnp.float32), numbers)
 
 
+def _rise(value: Array, slope: Array, bend: Array) -> tuple[Array, Array]:
+    """Time to where a parabola rises through zero, s, and whether it does."""
+    square = slope**2 - 2 * bend * value
+    real = square > 0
+    # In the form that does not cancel.
+    below = slope + jnp.sqrt(jnp.where(real, square, 1.0))
+    real &= below != 0
+    return -2 * value / jnp.where(real, below, 1.0), real
+
+
 def outlook_of(phases: ContactPhases, force: Forcing, turning: Turning) -> Outlook:
     """Tabulate the signals of a drive."""
     w, signals = force.angular_frequency, contact_signals(phases, force)
@@ -305,5 +341,6 @@ def outlook_of(phases: ContactPhases, force: Forcing, turning: Turning) -> Outlo
         rows=with_derivatives(turning, force, signals),
         rest=signals.rest,
         sway=jnp.sum(size * push[:, None], axis=2),
+        creeps=jnp.any(phases.rate == 0),
         pulls=all(phases.can_pull),
     )
