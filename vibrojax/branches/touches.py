@@ -197,9 +197,12 @@ def _enter(
             if found is not None and search.is_sound(found):
                 grows = found.times_along @ by_times > 0
                 found = found if grows else found.reversed()
-                gone = search.along(
-                    touch, found.state - touch.state, found.parameter - touch.parameter
-                )
+                change = found.state - touch.state, found.parameter - touch.parameter
+                # Too far behind the touch the contact may get shorter again.
+                if search.along(found, *change) < 0:
+                    first *= 0.4
+                    continue
+                gone = search.along(touch, *change)
                 found = replace(found, family=last.family + 1, way=abs(gone))
                 both_seen = yield Look([touch, found])
                 if fits(found, both_seen[1]):
