@@ -110,11 +110,14 @@ def fits(motion: OnCurve, seen: Seen) -> bool:
         return False
     if same(motion.contacts, motion.times, seen.contacts, seen.times):
         return True
-    short = [pair for pair in pairs(motion.contacts, motion.times) if np.ptp(pair.times) < SHALLOW]
-    return any(
-        same(*without(motion.contacts, motion.times, gone), seen.contacts, seen.times)
-        for gone in ([pair] for pair in short)
-    )
+    return any(same(*less, seen.contacts, seen.times) for less in without_shallow(motion))
+
+
+def without_shallow(motion: OnCurve) -> list[tuple[Contacts, np.ndarray]]:
+    """Contacts of a motion without one of those that a march may miss."""
+    every = pairs(motion.contacts, motion.times)
+    short = [pair for pair in every if np.ptp(pair.times) < SHALLOW]
+    return [without(motion.contacts, motion.times, [pair]) for pair in short]
 
 
 def at_value(contacts: Contacts, times: np.ndarray, state: np.ndarray, value: float) -> Ask:

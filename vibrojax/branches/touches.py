@@ -19,7 +19,7 @@ from vibrojax.branches.contacts import (
     without,
 )
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch, fits
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch, fits, without_shallow
 
 CLOSES = 0.3
 """Share of its duration that is left to a pair at the next step, where it may vanish."""
@@ -131,7 +131,7 @@ def touch_between(
         if cut is None:
             return None
         last = cut
-    extra = new_pairs(bad.contacts, bad.times, seen.contacts, seen.times) if seen.fits else None
+    extra = _met_beyond(bad, seen)
     if not extra:
         return (yield from vanish(search, last, apart))
     found = []
@@ -152,6 +152,17 @@ def touch_between(
     touch = found[0][3]
     at_once = [each for each in found if each[0] - found[0][0] < TOGETHER]
     return (yield from _enter(search, last, touch, at_once, apart))
+
+
+def _met_beyond(motion: OnCurve, seen: Seen) -> list[Pair] | None:
+    """Pairs that a march of a motion met beyond its own."""
+    if not seen.fits:
+        return None
+    for own in [(motion.contacts, motion.times), *without_shallow(motion)]:
+        extra = new_pairs(*own, seen.contacts, seen.times)
+        if extra:
+            return extra
+    return None
 
 
 def _goes_on(search: CurveSearch, last: OnCurve, touch: OnCurve) -> bool:
