@@ -117,9 +117,14 @@ def measure(make: Callable[..., vj.ImpactingBeam], numbers: dict[str, float]) ->
         "branch_seconds": ended - between,
     }
     if len(branch.values) > 1:
-        difference = branch.compare(sweep).relative_difference.values
-        known = np.isfinite(difference) | np.isposinf(difference)
-        row |= {"compared": int(known.sum()), "on_branch": int(np.sum(difference <= 1e-6))}
+        on = branch.compare(sweep)["on_branch"].values
+        row |= {"compared": int(np.sum(on >= 0)), "on_branch": int(np.sum(on == 1))}
+        if (on == 0).any() and branch.status == "completed":
+            # What a sweep settles on beside the branch should be on an isola.
+            wider = vj.continue_response(rig, frequency_ratio=BOUNDS, isolas=True)
+            on = wider.compare(sweep)["on_branch"].values
+            row |= {"isolas": len(wider.isolas)}
+        row |= {"on_any": int(np.sum(on == 1))}
     return row
 
 
@@ -137,6 +142,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "unrefined": sum(row["unrefined"] for row in rows),
         "compared": sum(row.get("compared", 0) for row in rows),
         "on_branch": sum(row.get("on_branch", 0) for row in rows),
+        "on_branch_or_isola": sum(row.get("on_any", 0) for row in rows),
     }
 
 
@@ -157,7 +163,8 @@ def main() -> None:
         rows.append(row)
         words = ("rig", "modes", "stops", "sweep", "branch", "points", "touching", "unrefined")
         print(*(f"{name} {row[name]}" for name in words), flush=True)
-        print("   ", row.get("on_branch"), "of", row.get("compared"), row["sentence"], flush=True)
+        on = row.get("on_branch"), row.get("on_any")
+        print("   ", *on, "of", row.get("compared"), row["sentence"], flush=True)
     print(json.dumps(summary(rows), indent=1))
     if given.json:
         with open(given.json, "w") as file:

@@ -52,6 +52,18 @@ def test_what_is_on_the_branch_is_no_isola(branch):
     assert soft.isolas == ()
 
 
+@pytest.mark.slow
+def test_what_leaves_the_range_and_comes_back_is_compared_too():
+    """The branch goes up beyond the range: its lower part comes back in at the high end."""
+    soft, bounds = rig(2e-4, 5500.0), vj.Range(0.9, 1.2)
+    settings = vj.SweepSettings(direction="backward")
+    lower = vj.frequency_sweep(soft, frequency_ratio=[1.15, 1.18], settings=settings)
+    alone = vj.continue_response(soft, frequency_ratio=bounds)
+    assert (alone.compare(lower)["on_branch"].values == 0).all()
+    both = vj.continue_response(soft, frequency_ratio=bounds, isolas=True)
+    assert (both.compare(lower)["on_branch"].values == 1).all()
+
+
 def test_stops_that_are_not_linear_are_refused():
     beam = vj.default_rig().beam
     hertz = vj.ImpactingBeam(beam, vj.Stop(0.5, 4e-4, vj.Hertz(1e8)), vj.BaseMotion(2e-4))

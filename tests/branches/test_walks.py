@@ -140,6 +140,23 @@ def test_stiff_stops_are_where_sweeps_settle():
     assert (compared["on_branch"].values == np.where(settled, 1, -1)).all()
 
 
+def test_a_walk_does_not_turn_round_at_a_touch():
+    """Motions before a touch and behind it are alike where a contact goes and comes again."""
+    rig = vj.default_rig(
+        taper=0.7342,
+        mass_ratio=6.341,
+        gap=1.7314e-3,
+        position=0.39916,
+        stiffness=1.609e5,
+        damping=30.41,
+        damping_ratio=0.00237,
+        base_amplitude=6.765e-3,
+        num_modes=2,
+    )
+    branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.8, 0.85))
+    assert branch.completed
+
+
 def test_a_motion_that_touches_from_the_start():
     rig = vj.default_rig(stiffness=2e4, gap=1e-5, damping_ratio=0.1, num_modes=2)
     branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.7, 0.9))

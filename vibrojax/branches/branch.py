@@ -63,10 +63,11 @@ class Branch(BranchPoints, AbstractSaved):
         """Return how far the settled points of a sweep of the same system are from the branch.
 
         `relative_difference` of every point of the period of the branch, over (direction,
-        frequency): the least over the passages of the branch of the largest change of amplitude,
-        rms and contact force; NaN for points of other periods and outside of the range.
-        `on_branch` is 1 where it is 1e-6 or less, 0 where it is more (the point is of a branch of
-        its own, or one of the two is wrong), -1 where it is not known. Raises `ValueError` for a
+        frequency): the least over the passages of the branch, and of its isolas where they were
+        looked for, of the largest change of amplitude, rms and contact force; NaN for points of
+        other periods and outside of the range. `on_branch` is 1 where it is 1e-6 or less, 0 where
+        it is more (the point is of an isola that is not known, or one of the two is wrong), -1
+        where it is not known. Raises `ValueError` for a
         branch along another number than the frequency axis of the sweep, or a sweep of several
         systems.
         """

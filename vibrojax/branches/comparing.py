@@ -1,4 +1,4 @@
-"""A sweep beside the branch of the same system: which of its points are on it."""
+"""A sweep beside the branch of the same system, and isolas of it: which of its points are on it."""
 
 from typing import TYPE_CHECKING
 
@@ -36,12 +36,13 @@ def compare(branch: BranchPoints, sweep: FrequencyResponse) -> "xarray.Dataset":
     inside = (values >= low) & (values <= high)
     differences = np.full((swept.sizes["direction"], len(values)), np.nan)
     if inside.any():
-        passages = resample(branch, values[inside])
-        far = np.zeros((differences.shape[0], int(inside.sum()), passages.sizes["crossing"]))
+        pieces = [resample(piece, values[inside]) for piece in (branch, *branch.isolas)]
+        far: float | np.ndarray = 0.0
         for name in COMPARED:
             own = swept[name].transpose(*dims).values[:, inside, None]
             size = np.maximum(np.abs(own), np.max(np.abs(own), initial=0.0) * 1e-3)
-            far = np.maximum(far, np.abs(passages[name].values - own) / np.where(size, size, 1.0))
+            passages = np.concatenate([piece[name].values for piece in pieces], axis=-1)
+            far = np.maximum(far, np.abs(passages - own) / np.where(size, size, 1.0))
         least = np.where(np.isnan(far), np.inf, far).min(axis=-1, initial=np.inf)
         same = swept["period"].transpose(*dims).values[:, inside] == branch.period
         differences[:, inside] = np.where(same, least, np.nan)

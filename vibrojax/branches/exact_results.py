@@ -124,7 +124,8 @@ def _by_halving(walk: Walk, first: int, touch: Touch | None, value: float) -> St
     if ends[0] * ends[1] > 0:
         return None
     stretch = Stretch(walk, first, touch)
-    found = yield from stretch.root(lambda motion: motion.parameter - value, 1e-9, *ends)
+    nodes = zip(stretch.ends, ends, strict=True)
+    found = yield from stretch.root(lambda motion: motion.parameter - value, 1e-9, *nodes)
     if found.at_touch and touch is not None:
         return walk.points[touch.at]
     if found.motion is None:

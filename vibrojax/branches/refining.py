@@ -4,7 +4,7 @@ Between two motions of one family, or of a touch and the first motion behind it,
 smooth: a special point is where one number passes zero.
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -21,6 +21,9 @@ SOLVED = {"fold": 1e-8, "period_doubling": 1e-11, "neimark_sacker": 1e-11}
 AT_TOUCH = 1e-7
 """Duration of a contact, over that where a fold was looked for from, that is as good as a touch."""
 NEAR_CIRCLE = 1e-3
+SHARES, MOVED = (1 / 8, 1 / 4, 1 / 2), 0.3
+"""Where it is looked next to a touch, over the duration of the contact at the next point, if sizes
+of multipliers change by so much until then."""
 HALVINGS = 12
 """Of the way to motions that are known, where there is none at a place."""
 
@@ -74,13 +77,19 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
     """Find all special points of a walk, in order along it."""
     behind = {(t.at if t.entering else t.at - 1): t for t in walk.touches}
     found: list[Special] = []
-    for k, (a, b) in enumerate(pairwise(walk.points)):
-        for kind, number in _numbers(a, b).items():
-            ends = number(a), number(b)
-            if ends[0] * ends[1] < 0:
-                special = yield from _between(walk, k, kind, number, ends, behind.get(k))
-                if special is not None:
-                    found.append(special)
+    for k in range(len(walk.points) - 1):
+        stretch = Stretch(walk, k, behind.get(k))
+        places = [stretch.ends[0], *_doubtful(walk, k, stretch), stretch.ends[1]]
+        motions = yield from stretch.each(places[1:-1])
+        nodes = list(zip(places, [walk.points[k], *motions, walk.points[k + 1]], strict=True))
+        known = [(place, motion) for place, motion in nodes if motion is not None]
+        for (low, a), (high, b) in pairwise(known):
+            for kind, number in _numbers(a, b).items():
+                if number(a) * number(b) < 0:
+                    part = stretch.root(number, SOLVED[kind], (low, number(a)), (high, number(b)))
+                    special = yield from _refined(walk, k, kind, stretch, part)
+                    if special is not None:
+                        found.append(special)
     for touch in walk.touches:
         point, seen = walk.points[touch.at], walk.seen[touch.at]
         kind = "contact_change" if touch.stop in point.contacts.stops else "grazing"
@@ -88,21 +97,46 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
     return sorted(found, key=lambda special: special.after)
 
 
-def _between(
-    walk: Walk,
-    k: int,
-    kind: str,
-    number: Number,
-    ends: tuple[float, float],
-    touch: Touch | None,
+def _doubtful(walk: Walk, k: int, stretch: "Stretch") -> list[float]:
+    """Places between the points k and k + 1 where multipliers may be on the other side."""
+    a, b = walk.points[k], walk.points[k + 1]
+    first, last = _sizes(a), _sizes(b)
+    if stretch.touch is not None:
+        # Next to a touch they change with the root of the way: they may have come and gone.
+        moved = np.abs(first - last)[np.maximum(first, last) > 0.5]
+        low, high = stretch.ends
+        shares = SHARES if stretch.touch.entering else SHARES[::-1]
+        return [share * max(low, high) for share in shares] if (moved > MOVED).any() else []
+    before, after = walk.points[max(k - 1, 0)], walk.points[min(k + 2, len(walk.points) - 1)]
+    outside = int(np.sum(first > 1))
+    if before.family != a.family or after.family != b.family or outside != np.sum(last > 1):
+        return []
+    places = set()
+    for place in {max(outside - 1, 0), min(outside, len(first) - 1)}:
+        # Lines through the neighbours on either side meet where the way may have its turn.
+        number, whole = _crossing(place), b.way
+        start, end = number(a), number(b)
+        if not a.way or not after.way or not start * end > 0:
+            continue
+        rises = (start - number(before)) / a.way, (number(after) - end) / after.way
+        if rises[0] == rises[1]:
+            continue
+        meet = (end - start - rises[1] * whole) / (rises[0] - rises[1])
+        if 0 < meet < whole and (start + rises[0] * meet) * start < 0:
+            places.add(meet)
+    return sorted(places)
+
+
+def _refined(
+    walk: Walk, k: int, kind: str, stretch: "Stretch", root: Steps
 ) -> Generator[Any, Any, Special | None]:
-    """Refine the special point between the points k and k + 1."""
-    found = yield from Stretch(walk, k, touch).root(number, SOLVED[kind], *ends)
+    """Solve for the special point of a kind behind the point k."""
+    found = yield from root
     motion, refined = found.motion, found.solved
-    if found.at_touch and touch is not None:
+    if found.at_touch and stretch.touch is not None:
         if kind != "fold":
             return None  # multipliers jump there
-        kind, motion, refined = "touch_fold", walk.points[touch.at], True
+        kind, motion, refined = "touch_fold", walk.points[stretch.touch.at], True
     motion = motion or walk.points[k]
     if kind == "neimark_sacker" and not _on_circle(motion):
         return None
@@ -166,14 +200,21 @@ class Stretch:
             place = (place + near) / 2
         return place, None
 
+    def each(self, places: Sequence[float]) -> Generator[Any, Any, list[OnCurve | None]]:
+        """Solve for the motions at places; None where there is none."""
+        found = []
+        for place in places:
+            found.append((yield from self.at(place)))
+        return found
+
     def root(
-        self, number: Callable[[OnCurve], float], solved: float, first: float, last: float
+        self, number: Number, solved: float, first: tuple[float, float], last: tuple[float, float]
     ) -> Generator[Any, Any, "Root"]:
-        """Find where a number passes zero, which is `first` and `last` at the ends.
+        """Find where a number passes zero between two places, which come with what it is there.
 
         It is found to `solved` of the larger of these.
         """
-        (low, high), below, above = self.ends, first, last
+        (low, below), (high, above) = first, last
         scale, whole, best = max(abs(below), abs(above)), abs(high - low), None
         side = 0
         for _ in range(ROUNDS):

@@ -209,11 +209,11 @@ def _enter(
                 grows = found.times_along @ by_times > 0
                 found = found if grows else found.reversed()
                 change = found.state - touch.state, found.parameter - touch.parameter
-                # Too far behind the touch the contact may get shorter again.
-                if search.along(found, *change) < 0:
+                gone = search.along(touch, *change)
+                # Too far on the contact may get shorter again, or is one from before the touch.
+                if search.along(found, *change) < 0 or (search.smooth and gone < 0):
                     first *= 0.4
                     continue
-                gone = search.along(touch, *change)
                 found = replace(found, family=last.family + 1, way=abs(gone))
                 both_seen = yield Look([touch, found])
                 if fits(found, both_seen[1]):
