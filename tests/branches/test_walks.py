@@ -157,6 +157,17 @@ def test_a_walk_does_not_turn_round_at_a_touch():
     assert branch.completed
 
 
+@pytest.mark.slow
+def test_a_branch_that_comes_back_gives_way_to_the_one_from_the_high_end():
+    rig = vj.default_rig(stiffness=1e6, base_amplitude=1e-3, num_modes=2)
+    bounds = vj.Range(0.8, 0.9)
+    branch = vj.continue_response(rig, frequency_ratio=bounds)
+    assert branch.completed
+    assert "Another one comes back" in branch.sentence
+    assert (branch.values[0], branch.values[-1]) == (0.8, 0.9)
+    assert np.max(branch.residual) < 1e-9
+
+
 def test_a_motion_that_touches_from_the_start():
     rig = vj.default_rig(stiffness=2e4, gap=1e-5, damping_ratio=0.1, num_modes=2)
     branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.7, 0.9))

@@ -1,5 +1,6 @@
 """Branches of exact motions: where they begin, their walks, and their special points."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,30 +24,56 @@ from vibrojax.steady.starting import settled_states
 
 
 def walk_branches(plan: Plan, paths: AbstractPath) -> list[BranchPoints]:
-    """Walk along the branch of every lane from the low end of the range."""
+    """Walk along the branch of every lane from the low end of the range.
+
+    Where that comes back to the low end, the branch that leads on is one from the high end.
+    """
     lanes = range(len(plan.labels))
     rigs = CurveRigs(paths, plan.period)
     compile_ahead(rigs, len(lanes))
-    walks = _walks(plan, rigs, plan.low)
-    free = run_together(
-        [_job(w, rigs, k, free_flight(w.search, plan.low)) for k, w in enumerate(walks)]
+    walks, endings, notes = _walk_through(plan, rigs, plan.low, lanes)
+    back = [k for k in lanes if endings[k] is Ending.turned_back]
+    if back:
+        others, ended, _ = _walk_through(plan, rigs, plan.high, back)
+        for k in back:
+            if ended[k] is Ending.completed:
+                start = replace(others[k], points=others[k].points[:1], seen=others[k].seen[:1])
+                walks[k] = _joined(others[k], replace(start, touches=[]))
+                endings[k], notes[k] = (
+                    ended[k],
+                    " Another one comes back to where the range starts.",
+                )
+    return _results(plan, rigs, paths, walks, endings, notes)
+
+
+def _walk_through(
+    plan: Plan, rigs: CurveRigs, value: float, lanes: Sequence[int]
+) -> tuple[list[Walk], list[Ending], list[str]]:
+    """Walk from one end of the range; also how that ended, and where it began."""
+    walks = _walks(plan, rigs, value)
+    free = dict(
+        zip(
+            lanes,
+            run_together(
+                [_job(walks[k], rigs, k, free_flight(walks[k].search, value)) for k in lanes]
+            ),
+            strict=True,
+        )
     )
-    starts: list[OnCurve | None] = [motion if holds else None for motion, holds in free]
-    notes = ["" for _ in lanes]
-    left = [k for k in lanes if starts[k] is None]
-    for k, motion in _by_opening(plan, rigs, walks, free, left).items():
+    starts = {k: motion for k, (motion, holds) in free.items() if holds}
+    notes = [""] * len(walks)
+    left = [k for k in lanes if k not in starts]
+    for k, motion in _by_opening(value, rigs, walks, free, left).items():
         starts[k], notes[k] = motion, " It starts from gaps that were opened."
-    left = [k for k in lanes if starts[k] is None]
-    for k, motion in _by_settling(plan, rigs, walks, left).items():
+    left = [k for k in lanes if k not in starts]
+    for k, motion in _by_settling(value, rigs, walks, left).items():
         starts[k], notes[k] = motion, " It starts from a settled march."
-    jobs = {
-        k: _job(walks[k], rigs, k, walks[k].go(start, 1.0))
-        for k, start in enumerate(starts)
-        if start is not None
-    }
-    endings = dict(zip(jobs, run_together(list(jobs.values())), strict=True))
-    every = [endings.get(k, Ending.stuck) for k in lanes]
-    return _results(plan, rigs, paths, walks, every, notes)
+    way = 1.0 if value == plan.low else -1.0
+    jobs = [_job(walks[k], rigs, k, walks[k].go(start, way)) for k, start in starts.items()]
+    endings = [Ending.stuck] * len(walks)
+    for k, ending in zip(starts, run_together(jobs), strict=True):
+        endings[k] = ending
+    return walks, endings, notes
 
 
 def walk_from(
@@ -123,15 +150,15 @@ def _joined(down: Walk, up: Walk) -> Walk:
 
 
 def _by_opening(
-    plan: Plan, rigs: CurveRigs, walks: list[Walk], free: list[Any], left: list[int]
+    value: float, rigs: CurveRigs, walks: list[Walk], free: dict[int, Any], left: list[int]
 ) -> dict[int, OnCurve]:
     """Begin where a walk from opened gaps leads to."""
     left = [k for k in left if free[k][0] is not None]
     if not left:
         return {}
     lanes = np.array(left)
-    local = jax.device_get(localise(rigs.paths, lanes, np.full(len(left), plan.low), True))
-    wider = CurveRigs(OpenedPath(local.place), plan.period)
+    local = jax.device_get(localise(rigs.paths, lanes, np.full(len(left), value), True))
+    wider = CurveRigs(OpenedPath(local.place), rigs.period)
     phases, jobs = local.phases, {}
     assert phases is not None  # of linear stops
     for i, k in enumerate(left):
@@ -145,7 +172,7 @@ def _by_opening(
 
     def there(k: int) -> Any:
         end = ends[k]
-        ask = at_value(end.contacts, end.times, end.state, plan.low)
+        ask = at_value(end.contacts, end.times, end.state, value)
         return (yield from walks[k].search.solve(ask))
 
     again = {k: _job(walks[k], rigs, k, there(k)) for k, end in ends.items() if end is not None}
@@ -154,16 +181,16 @@ def _by_opening(
 
 
 def _by_settling(
-    plan: Plan, rigs: CurveRigs, walks: list[Walk], left: list[int]
+    value: float, rigs: CurveRigs, walks: list[Walk], left: list[int]
 ) -> dict[int, OnCurve]:
     """Begin where a march from rest settles."""
     if not left:
         return {}
     paths = take(rigs.paths, np.array(left))
-    states, settled = settled_states(paths, np.full(len(left), plan.low), plan.period, True)
+    states, settled = settled_states(paths, np.full(len(left), value), rigs.period, True)
     jobs = {
         k: _job(
-            walks[k], rigs, k, motion_near(walks[k].search, walks[k].search.unit * state, plan.low)
+            walks[k], rigs, k, motion_near(walks[k].search, walks[k].search.unit * state, value)
         )
         for k, state, good in zip(left, states, settled, strict=True)
         if good

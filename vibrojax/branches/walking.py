@@ -169,12 +169,17 @@ class Walk:
         """Whether the last point is where the walk began."""
         if len(self.points) <= LOOP_POINTS:
             return False
-        first, before, last = (self.search.unit * self.seen[k].initial_state for k in (0, -2, -1))
-        p, q, r = (self.points[k].parameter for k in (0, -2, -1))
-        size = np.linalg.norm(last)
-        gone = np.hypot(np.linalg.norm(last - before) / size, (r - q) / self.search.scale)
-        home = np.hypot(np.linalg.norm(last - first) / size, (r - p) / self.search.scale)
-        return bool(home < 0.75 * min(gone, self.longest))
+        size = np.linalg.norm(self.search.unit * self.seen[-1].initial_state)
+
+        def apart(i: int, j: int) -> np.ndarray:
+            state = self.search.unit * (self.seen[j].initial_state - self.seen[i].initial_state)
+            parameter = self.points[j].parameter - self.points[i].parameter
+            return np.append(state / size, parameter / self.search.scale)
+
+        gone, home = apart(-2, -1), np.linalg.norm(apart(0, -1))
+        near = home < 0.75 * min(np.linalg.norm(gone), self.longest)
+        # Who comes by the other way has turned round.
+        return bool(near and gone @ apart(0, 1) > 0)
 
     def further(self, last: OnCurve, step: float) -> Steps:
         """Solve for the next motion: that, the step behind it, and the end of the range met."""
