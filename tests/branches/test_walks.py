@@ -168,6 +168,16 @@ def test_a_branch_that_comes_back_gives_way_to_the_one_from_the_high_end():
     assert np.max(branch.residual) < 1e-9
 
 
+def test_a_touch_just_before_the_end_of_the_range():
+    rig = vj.default_rig(num_modes=1)
+    whole = vj.continue_response(rig, frequency_ratio=vj.Range(0.9, 1.3))
+    touch = whole.grazings[0]
+    branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.9, touch * (1 + 1e-5)))
+    assert branch.completed
+    assert branch.grazings == pytest.approx([touch], rel=1e-12)
+    assert branch.values.max() == touch * (1 + 1e-5)
+
+
 def test_a_motion_that_touches_from_the_start():
     rig = vj.default_rig(stiffness=2e4, gap=1e-5, damping_ratio=0.1, num_modes=2)
     branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.7, 0.9))

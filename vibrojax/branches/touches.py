@@ -31,8 +31,8 @@ TOGETHER = 1e-7
 """Arclength within which touches happen at once."""
 SHORT = 1e-4
 """Drive angle, rad, of a contact that is as good as none at a touch."""
-LENGTHENED = 2.0, 1.4, 1.1
-"""By how much contacts are made to last longer, in order of trying."""
+FASTEST, CHANGES = 3, (0.5, 0.2, 0.05)
+"""Contacts whose duration is made to change, and by what share, in order of trying."""
 LEAST_WAY = 0.02
 """Arclength behind a touch that is tried at the least."""
 
@@ -81,8 +81,8 @@ def touch_at(
     return without_peak, float(found.times[place])
 
 
-def vanish(search: CurveSearch, last: OnCurve, step: float) -> Steps:
-    """Go to the touch at which a contact ends to be."""
+def vanish(search: CurveSearch, last: OnCurve, step: float, bounds: tuple[float, float]) -> Steps:
+    """Go to the touch at which a contact ends to be, if that is within bounds of the parameter."""
     near = closing(last, step)
     if not near:
         return None
@@ -98,7 +98,7 @@ def vanish(search: CurveSearch, last: OnCurve, step: float) -> Steps:
             continue
         touch, _ = came
         gone = search.along(last, touch.state - last.state, touch.parameter - last.parameter)
-        if not -TOGETHER < gone < 4 * max(step, way):
+        if not -TOGETHER < gone < 4 * max(step, way) or not _is_within(touch, bounds):
             continue
         # Behind the touch the stop is left further and further.
         touch = touch if touch.height_along < 0 else touch.reversed()
@@ -125,9 +125,14 @@ def _only_touches(touch: OnCurve, seen: Seen) -> bool:
 
 
 def touch_between(
-    search: CurveSearch, last: OnCurve, bad: OnCurve, seen: Seen, apart: float
+    search: CurveSearch,
+    last: OnCurve,
+    bad: OnCurve,
+    seen: Seen,
+    apart: float,
+    bounds: tuple[float, float],
 ) -> Steps:
-    """Go to the touch before a motion that breaks its contacts, and beyond it."""
+    """Go to the touch before a motion that breaks its contacts, and beyond it, within bounds."""
     if bad.contacts.section != last.contacts.section:
         cut = yield from search.cut_at(last, bad.contacts.section)
         if cut is None:
@@ -135,7 +140,7 @@ def touch_between(
         last = cut
     extra = _met_beyond(bad, seen)
     if not extra:
-        return (yield from vanish(search, last, apart))
+        return (yield from vanish(search, last, apart, bounds))
     found = []
     for pair in extra:
         guess = bad.contacts, bad.times, bad.state, bad.parameter
@@ -153,7 +158,7 @@ def touch_between(
     found.sort(key=lambda each: each[0])
     touch = found[0][3]
     at_once = [each for each in found if each[0] - found[0][0] < TOGETHER]
-    return (yield from _enter(search, last, touch, at_once, apart))
+    return (yield from _enter(search, last, touch, at_once, apart, bounds))
 
 
 def _met_beyond(motion: OnCurve, seen: Seen) -> list[Pair] | None:
@@ -172,8 +177,17 @@ def _goes_on(search: CurveSearch, last: OnCurve, touch: OnCurve) -> bool:
     return search.along(last, touch.state_along, touch.parameter_along) > 0
 
 
+def _is_within(motion: OnCurve, bounds: tuple[float, float]) -> bool:
+    return bounds[0] <= motion.parameter <= bounds[1]
+
+
 def _enter(
-    search: CurveSearch, last: OnCurve, touch: OnCurve, new: list[Any], apart: float
+    search: CurveSearch,
+    last: OnCurve,
+    touch: OnCurve,
+    new: list[Any],
+    apart: float,
+    bounds: tuple[float, float],
 ) -> Steps:
     """Go beyond a touch, to a motion with the new contacts."""
     touch = replace(touch, family=last.family, way=abs(new[0][0]))
@@ -213,7 +227,8 @@ def _enter(
                 change = found.state - touch.state, found.parameter - touch.parameter
                 gone = search.along(touch, *change)
                 # Too far on the contact may get shorter again, or is one from before the touch.
-                if search.along(found, *change) < 0 or (search.smooth and gone < 0):
+                turned = search.along(found, *change) < 0 or (search.smooth and gone < 0)
+                if turned or not _is_within(found, bounds):
                     first *= 0.4
                     continue
                 found = replace(found, family=last.family + 1, way=abs(gone))
@@ -225,37 +240,41 @@ def _enter(
     return None
 
 
-def lengthen(search: CurveSearch, last: OnCurve, places: tuple[int, int]) -> Steps:
-    """Go on to where a contact that began shortly before lasts longer, however short the way is.
+def by_duration(search: CurveSearch, last: OnCurve, bounds: tuple[float, float]) -> Steps:
+    """Go on to where the contact that changes fastest lasts longer, or shorter.
 
-    Behind a touch of a stiff stop the curve bends within what no step along it resolves.
+    Next to touches of stiff stops the curve bends within what no step along it resolves.
     """
-    by_times = np.zeros(len(last.times))
-    by_times[list(places)] = -1.0, 1.0
-    lasts, rate = float(by_times @ last.times), float(by_times @ last.times_along)
-    if rate <= 0:
-        return None
-    for factor in LENGTHENED:
-        # Durations grow with the square root of the way.
-        way = (factor**2 - 1) * lasts / (2 * rate)
-        times = last.times + way * (last.times_along - rate * by_times / 2)
-        guess = Ask(
-            last.contacts,
-            times + (factor - 1) * lasts * by_times / 2,
-            last.state + way * last.state_along,
-            last.parameter + way * last.parameter_along,
-            by_times=by_times,
-            value=factor * lasts,
-        )
-        found = yield from search.solve(guess)
-        if found is None or not search.is_sound(found):
-            continue
-        found = found if found.times_along @ by_times > 0 else found.reversed()
-        change = found.state - last.state, found.parameter - last.parameter
-        if search.along(found, *change) <= 0:
-            continue
-        (seen,) = yield Look([found])
-        if fits(found, seen):
-            way = abs(search.along(last, *change))
-            return replace(found, family=last.family, way=way), seen
+    every = []
+    for pair in pairs(last.contacts, last.times):
+        by_times = np.zeros(len(last.times))
+        by_times[list(pair.places)] = -1.0, 1.0
+        every.append((float(by_times @ last.times_along) / np.ptp(pair.times), by_times))
+    every.sort(key=lambda each: -abs(each[0]))
+    for relative, by_times in every[:FASTEST]:
+        lasts = float(by_times @ last.times)
+        for change in CHANGES if relative else ():
+            factor = 1 + change if relative > 0 else 1 - change
+            # Durations change with the square root of the way.
+            way = (factor**2 - 1) / (2 * relative)
+            times = last.times + way * (last.times_along - relative * lasts * by_times / 2)
+            guess = Ask(
+                last.contacts,
+                times + (factor - 1) * lasts * by_times / 2,
+                last.state + way * last.state_along,
+                last.parameter + way * last.parameter_along,
+                by_times=by_times,
+                value=factor * lasts,
+            )
+            found = yield from search.solve(guess)
+            if found is None or not search.is_sound(found):
+                continue
+            found = found if found.times_along @ by_times * relative > 0 else found.reversed()
+            gone = found.state - last.state, found.parameter - last.parameter
+            ahead = min(search.along(found, *gone), search.along(last, *gone)) > 0
+            if not ahead or not _is_within(found, bounds):
+                continue
+            (seen,) = yield Look([found])
+            if fits(found, seen):
+                return replace(found, family=last.family, way=search.along(last, *gone)), seen
     return None

@@ -15,7 +15,7 @@ from vibrojax.branches.contacts import in_order, is_ordered
 from vibrojax.branches.continuation import LOOP_POINTS, Ending
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch, fits
-from vibrojax.branches.touches import Passed, closing, lengthen, touch_between, vanish
+from vibrojax.branches.touches import Passed, by_duration, closing, touch_between, vanish
 
 FIRST, SHORTEST = 0.02, 1e-9
 """Steps, in arclength: change of the state over its size, and of the parameter over its scale."""
@@ -45,8 +45,6 @@ class Walk:
     touches: list[Touch] = field(default_factory=list)
     odd: Float[np.ndarray, " states"] | None = None
     """By how much the last point of a doubled walk differs from itself half a period later."""
-    entered: tuple[int, int] | None = None
-    """Places of the contact that began at the last touch, until a step along the curve is made."""
     refused: Seen | None = None
     """What was seen of the motion that broke its contacts last."""
 
@@ -64,7 +62,7 @@ class Walk:
         (seen,) = yield Look([here])
         self.add(here, seen)
         begun, step, room, ahead = start.parameter, FIRST, 4, []
-        tries, reached = 0, 0
+        tries, reached, bounds = 0, 0, (self.low, self.high)
         while True:
             if len(self.points) > reached:
                 tries, reached = 0, len(self.points)
@@ -76,12 +74,11 @@ class Walk:
                 step *= 0.4
                 if step >= SHORTEST:
                     continue
-                if not ahead and self.entered is not None:
-                    longer = yield from lengthen(self.search, last, self.entered)
-                    if longer is not None:
-                        self.add(*longer)
-                        step = max(2 * longer[0].way, 10 * SHORTEST)
-                        continue
+                came = None if ahead else (yield from by_duration(self.search, last, bounds))
+                if came is not None:
+                    self.add(*came)
+                    step = max(2 * came[0].way, 10 * SHORTEST)
+                    continue
             if found is not None:
                 ahead.append(found)
             if found is not None and goal is None and len(ahead) < room:
@@ -95,7 +92,9 @@ class Walk:
                 assert seen is not None  # of the first that does not fit
                 apart = max(bad.way, 2 * SHORTEST)
                 ahead, room = [], 4
-                came = self.take((yield from touch_between(self.search, last, bad, seen, apart)))
+                came = self.take(
+                    (yield from touch_between(self.search, last, bad, seen, apart, bounds))
+                )
                 tries += 1
                 step = FIRST / 2 if came else apart / 4
                 if step < SHORTEST or tries > MOST_TRIES:
@@ -107,7 +106,7 @@ class Walk:
             if found is not None:
                 step = next_step
                 continue
-            came = self.take((yield from vanish(self.search, self.points[-1], step)))
+            came = self.take((yield from vanish(self.search, self.points[-1], step, bounds)))
             tries += 1
             step = FIRST / 2 if came else step / 2.5
             if step < SHORTEST or tries > MOST_TRIES:
@@ -127,7 +126,6 @@ class Walk:
             self.points.pop()
             self.seen.pop()
         self.touches.append(passed.touch._replace(at=len(self.points)))
-        self.entered = passed.touch.places if passed.touch.entering else None
         for motion, seen in zip(passed.motions, passed.seen, strict=True):
             self.add(motion, seen)
         return True
@@ -154,7 +152,6 @@ class Walk:
                     return Ending.joined
                 self.odd = odd
             self.add(motion, seen)
-            self.entered = None
             if self.is_closed():
                 self.close()
                 return Ending.closed
