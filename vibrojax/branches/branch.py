@@ -67,9 +67,8 @@ class Branch(BranchPoints, AbstractSaved):
         looked for, of the largest change of amplitude, rms and contact force; NaN for points of
         other periods and outside of the range. `on_branch` is 1 where it is 1e-6 or less, 0 where
         it is more (the point is of an isola that is not known, or one of the two is wrong), -1
-        where it is not known. Raises `ValueError` for a
-        branch along another number than the frequency axis of the sweep, or a sweep of several
-        systems.
+        where it is not known. Raises `ValueError` for a branch along another number than the
+        frequency axis of the sweep, or a sweep of several systems.
         """
         return compare(self, sweep)
 

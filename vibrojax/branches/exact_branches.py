@@ -22,6 +22,8 @@ from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath, OpenedPath, localise
 from vibrojax.steady.starting import settled_states
 
+COMES_BACK = " Another one comes back to where the range starts."
+
 
 def walk_branches(plan: Plan, paths: AbstractPath) -> list[BranchPoints]:
     """Walk along the branch of every lane from the low end of the range.
@@ -39,10 +41,7 @@ def walk_branches(plan: Plan, paths: AbstractPath) -> list[BranchPoints]:
             if ended[k] is Ending.completed:
                 start = replace(others[k], points=others[k].points[:1], seen=others[k].seen[:1])
                 walks[k] = _joined(others[k], replace(start, touches=[]))
-                endings[k], notes[k] = (
-                    ended[k],
-                    " Another one comes back to where the range starts.",
-                )
+                endings[k], notes[k] = ended[k], COMES_BACK
     return _results(plan, rigs, paths, walks, endings, notes)
 
 
@@ -51,15 +50,8 @@ def _walk_through(
 ) -> tuple[list[Walk], list[Ending], list[str]]:
     """Walk from one end of the range; also how that ended, and where it began."""
     walks = _walks(plan, rigs, value)
-    free = dict(
-        zip(
-            lanes,
-            run_together(
-                [_job(walks[k], rigs, k, free_flight(walks[k].search, value)) for k in lanes]
-            ),
-            strict=True,
-        )
-    )
+    first = [_job(walks[k], rigs, k, free_flight(walks[k].search, value)) for k in lanes]
+    free = dict(zip(lanes, run_together(first), strict=True))
     starts = {k: motion for k, (motion, holds) in free.items() if holds}
     notes = [""] * len(walks)
     left = [k for k in lanes if k not in starts]
