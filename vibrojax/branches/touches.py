@@ -226,8 +226,9 @@ def _enter(
                 found = found if grows else found.reversed()
                 change = found.state - touch.state, found.parameter - touch.parameter
                 gone = search.along(touch, *change)
-                # Too far on the contact may get shorter again, or is one from before the touch.
-                turned = search.along(found, *change) < 0 or (search.smooth and gone < 0)
+                # Too far on the contact may get shorter again, or is one from before the touch;
+                # next to touches of stiff stops the curve turns within what no step resolves.
+                turned = search.along(found, *change) < 0 or (search.smooth and gone < -TOGETHER)
                 if turned or not _is_within(found, bounds):
                     first *= 0.4
                     continue
