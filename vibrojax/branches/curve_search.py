@@ -14,6 +14,8 @@ COLLAPSED = 0.1
 """Share of its duration below which a pair is taken to have vanished."""
 BOUNCED = 1.5
 """By how much a pair may come to last longer where it was about to vanish."""
+SWELLED = 0.05
+"""Least relative change of a contact's duration from which it is told whether the curve turned."""
 FARTHEST = 0.16
 """Farthest in arclength that a tangent is followed for a guess."""
 
@@ -90,6 +92,23 @@ class CurveSearch:
             shrinks = last.times_along[pair.places[1]] < last.times_along[pair.places[0]]
             bounces = ahead and shrinks and lasts > BOUNCED * lasted
             if lasts < COLLAPSED * lasted or bounces:
+                return True
+        return False
+
+    def turns_round(self, last: OnCurve, found: OnCurve) -> bool:
+        """Whether a contact came to last longer where its rates say shorter, or the reverse.
+
+        Then the curve has turned round in between, within less than the step.
+        """
+        if last.contacts != found.contacts:
+            return False
+        for pair, other in zip(
+            pairs(last.contacts, last.times), pairs(found.contacts, found.times), strict=True
+        ):
+            lasted, (i, j) = np.ptp(pair.times), pair.places
+            change = np.ptp(other.times) - lasted
+            rates = last.times_along + found.times_along
+            if abs(change) > SWELLED * lasted and change * (rates[j] - rates[i]) < 0:
                 return True
         return False
 

@@ -14,6 +14,7 @@ from vibrojax.branches.contacts import (
     new_pairs,
     pairs,
     same,
+    shifted,
     with_pairs,
     with_peak,
     without,
@@ -29,6 +30,8 @@ BEHIND = 1e-2
 """How far a touch may lie behind the last point: contacts too shallow to count are not seen."""
 TOGETHER = 1e-7
 """Arclength within which touches happen at once."""
+SHARP = 1e-6
+"""Arclength within which curves of stiff stops may turn round next to a touch."""
 SHORT = 1e-4
 """Drive angle, rad, of a contact that is as good as none at a touch."""
 FASTEST, CHANGES = 3, (0.5, 0.2, 0.05)
@@ -102,7 +105,7 @@ def vanish(search: CurveSearch, last: OnCurve, step: float, bounds: tuple[float,
             continue
         # Behind the touch the stop is left further and further.
         touch = touch if touch.height_along < 0 else touch.reversed()
-        if search.smooth and not _goes_on(search, last, touch):
+        if search.smooth and gone > SHARP and not _goes_on(search, last, touch):
             continue
         touch = replace(touch, family=last.family + 1, way=abs(gone))
         (seen,) = yield Look([touch])
@@ -169,7 +172,9 @@ def _met_beyond(motion: OnCurve, seen: Seen) -> list[Pair] | None:
         extra = new_pairs(*own, seen.contacts, seen.times)
         if extra:
             return extra
-    return None
+    # A march may miss what comes behind the touch, and see a change of contact too early.
+    early = shifted(motion.contacts, motion.times, seen.contacts, seen.times)
+    return [early] if early else None
 
 
 def _goes_on(search: CurveSearch, last: OnCurve, touch: OnCurve) -> bool:
@@ -226,9 +231,8 @@ def _enter(
                 found = found if grows else found.reversed()
                 change = found.state - touch.state, found.parameter - touch.parameter
                 gone = search.along(touch, *change)
-                # Too far on the contact may get shorter again, or is one from before the touch;
-                # next to touches of stiff stops the curve turns within what no step resolves.
-                turned = search.along(found, *change) < 0 or (search.smooth and gone < -TOGETHER)
+                # Too far on the contact may get shorter again, or is one from before the touch.
+                turned = search.along(found, *change) < 0 or (search.smooth and gone < -SHARP)
                 if turned or not _is_within(found, bounds):
                     first *= 0.4
                     continue

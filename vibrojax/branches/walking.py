@@ -15,7 +15,7 @@ from vibrojax.branches.contacts import in_order, is_ordered
 from vibrojax.branches.continuation import LOOP_POINTS, Ending
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch, fits
-from vibrojax.branches.touches import Passed, by_duration, closing, touch_between, vanish
+from vibrojax.branches.touches import SHARP, Passed, by_duration, closing, touch_between, vanish
 
 FIRST, SHORTEST = 0.02, 1e-9
 """Steps, in arclength: change of the state over its size, and of the parameter over its scale."""
@@ -79,6 +79,7 @@ class Walk:
                     self.add(*came)
                     step = max(2 * came[0].way, 10 * SHORTEST)
                     continue
+                step = SHARP
             if found is not None:
                 ahead.append(found)
             if found is not None and goal is None and len(ahead) < room:
@@ -216,7 +217,8 @@ class Walk:
             (found.parameter - last.parameter) / self.search.scale,
         )
         long = 2.5 * step + 1e-9
-        if cosine < STRAIGHT or gone > long or self.turns_twice(last, found, step):
+        turns = self.search.turns_round(last, found) or self.turns_twice(last, found, step)
+        if cosine < STRAIGHT or gone > long or turns:
             return None, step, None
         growth = next(g for most, g in GROWTH if found.rounds <= most)
         growth = growth if cosine > 0.97 else min(growth, 1.0)
