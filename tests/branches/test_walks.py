@@ -8,6 +8,8 @@ import scipy.linalg
 
 import vibrojax as vj
 from vibrojax.branches import contacts
+from vibrojax.branches.curve_search import CurveSearch
+from vibrojax.branches.on_curve import OnCurve
 
 TURN = 2 * np.pi
 DATA = Path(__file__).parents[1] / "data"
@@ -155,6 +157,47 @@ def test_a_walk_does_not_turn_round_at_a_touch():
     )
     branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.8, 0.85))
     assert branch.completed
+
+
+@pytest.mark.slow
+def test_touches_of_stiff_stops_where_the_curve_turns_sharply():
+    """Within 1e-6 of the touch at which a contact ends, at a ratio of 1.50345."""
+    beam = vj.default_rig(taper=0.2917814427493031, mass_ratio=2.5490663441435792).beam
+    stops = (
+        (0.25587264249069663, 1.6114530076221999e-3, 134464.30934980465, 21.088736667720916, 1),
+        (0.5172418715839191, 1.8184816200270536e-3, 344195.2939165398, 7.690364390375349, -1),
+        (0.7615421263512575, 0.8060172454864143e-3, 8706630.726777092, 10.580386319729145, 1),
+    )
+    rig = vj.ImpactingBeam(
+        beam=beam,
+        stops=tuple(
+            vj.Stop(position=x, gap=gap, law=vj.KelvinVoigt(k, c), side=side)
+            for x, gap, k, c, side in stops
+        ),
+        drive=vj.BaseMotion(amplitude=0.0013957797161279445),
+        damping_ratio=0.04452370499804419,
+        num_modes=2,
+    )
+    branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.6, 1.52))
+    assert branch.completed
+    assert branch.contacts_per_period.max() >= 15
+    assert np.max(branch.residual) < 1e-9
+
+
+def test_a_hairpin_within_a_step_is_seen():
+    """A contact lasts longer at the next motion, whose rates say that it gets shorter."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True)
+    known = contacts.Contacts((0, 0), 0, 0.0)
+
+    def motion(lasts, rate):
+        times, along = np.array([1.0, 1.0 + lasts]), np.array([0.0, rate])
+        return OnCurve(known, times, np.ones(2), 1.0, np.ones(2), along, 0.0, np.eye(2))
+
+    last = motion(0.1, 1.0)
+    assert search.turns_round(last, motion(0.2, -3.0))
+    assert not search.turns_round(last, motion(0.2, -0.5))
+    assert not search.turns_round(last, motion(0.104, -3.0))
+    assert search.turns_round(motion(0.2, -1.0), motion(0.1, 3.0))
 
 
 @pytest.mark.slow

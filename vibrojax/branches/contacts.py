@@ -157,15 +157,3 @@ def same(contacts: Contacts, times: Times, met: Contacts, met_times: MetTimes) -
     if contacts.stops != met.stops or contacts.first_phase != met.first_phase:
         return False
     return bool(np.max(np.abs(times - met_times), initial=0.0) < SAME)
-
-
-def shifted(contacts: Contacts, times: Times, met: Contacts, met_times: MetTimes) -> Pair | None:
-    """Return the one change of contact that a march met at another time, from there to its own."""
-    if contacts.stops != met.stops or contacts.first_phase != met.first_phase:
-        return None
-    (off,) = np.nonzero(np.abs(times - met_times) >= SAME)
-    if len(off) != 1:
-        return None
-    k = int(off[0])
-    first, last = sorted((float(times[k]), float(met_times[k])))
-    return Pair(contacts.stops[k], (k, k), (first, last))

@@ -10,7 +10,7 @@ from jaxtyping import Complex, Float
 
 from vibrojax.branches.contacts import Contacts, pairs, same, without
 
-SHALLOW = 5e-4
+SHALLOW = 1e-4
 """Drive angle, rad, of a contact that may be too shallow for a march to count."""
 
 

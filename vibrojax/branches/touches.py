@@ -14,7 +14,6 @@ from vibrojax.branches.contacts import (
     new_pairs,
     pairs,
     same,
-    shifted,
     with_pairs,
     with_peak,
     without,
@@ -172,9 +171,7 @@ def _met_beyond(motion: OnCurve, seen: Seen) -> list[Pair] | None:
         extra = new_pairs(*own, seen.contacts, seen.times)
         if extra:
             return extra
-    # A march may miss what comes behind the touch, and see a change of contact too early.
-    early = shifted(motion.contacts, motion.times, seen.contacts, seen.times)
-    return [early] if early else None
+    return None
 
 
 def _goes_on(search: CurveSearch, last: OnCurve, touch: OnCurve) -> bool:
