@@ -101,6 +101,13 @@ def pairs(contacts: Contacts, times: Times) -> list[Pair]:
     ]
 
 
+def duration_row(places: tuple[int, int], events: int) -> Times:
+    """Return the factors of the times of all events whose sum is how long a pair lasts."""
+    row = np.zeros(events)
+    row[list(places)] = -1.0, 1.0
+    return row
+
+
 def without(contacts: Contacts, times: Times, gone: list[Pair]) -> tuple[Contacts, MetTimes]:
     """Take pairs out of a sequence."""
     left = [i for i in range(len(times)) if not any(i in pair.places for pair in gone)]

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from vibrojax.branches.contacts import duration_row
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
 from vibrojax.branches.special_points import doubling_test, on_circle
 from vibrojax.branches.walking import Walk
@@ -161,8 +162,7 @@ class Stretch:
                 self.known.append((self.last.way, self.last))
             return
         lasting = self.last if touch.entering else self.first
-        self.by_times = np.zeros(len(lasting.times))
-        self.by_times[list(touch.places)] = -1.0, 1.0
+        self.by_times = duration_row(touch.places, len(lasting.times))
         whole = float(self.by_times @ lasting.times)
         self.ends = (0.0, whole) if touch.entering else (whole, 0.0)
         self.known = [(whole, lasting)]

@@ -10,6 +10,7 @@ from vibrojax.branches.contacts import (
     Contacts,
     Pair,
     Times,
+    duration_row,
     is_ordered,
     new_pairs,
     pairs,
@@ -211,8 +212,7 @@ def _enter(
         at = np.flatnonzero(np.isin(times, both[0].times))
         if len(at) == 2 and is_ordered(contacts, times, search.whole):
             places = int(at[0]), int(at[1])
-            by_times = np.zeros(len(times))
-            by_times[list(places)] = -1.0, 1.0
+            by_times = duration_row(places, len(times))
             found = yield from search.solve(
                 Ask(
                     contacts,
@@ -249,8 +249,7 @@ def by_duration(search: CurveSearch, last: OnCurve, bounds: tuple[float, float])
     """
     every = []
     for pair in pairs(last.contacts, last.times):
-        by_times = np.zeros(len(last.times))
-        by_times[list(pair.places)] = -1.0, 1.0
+        by_times = duration_row(pair.places, len(last.times))
         every.append((float(by_times @ last.times_along) / np.ptp(pair.times), by_times))
     every.sort(key=lambda each: -abs(each[0]))
     for relative, by_times in every[:FASTEST]:

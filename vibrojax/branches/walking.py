@@ -79,7 +79,7 @@ class Walk:
                     self.add(*came)
                     step = max(2 * came[0].way, 10 * SHORTEST)
                     continue
-                step = SHARP
+                step = SHARP  # a contact may end within that
             if found is not None:
                 ahead.append(found)
             if found is not None and goal is None and len(ahead) < room:
