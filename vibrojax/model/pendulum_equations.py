@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from vibrojax._tools.trigonometry import cosine, sine
+from vibrojax._tools.trigonometry import cosine, cosine_and_sine
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.stops import Stop
 
@@ -54,7 +54,7 @@ class PendulumEquations(AbstractEquations):
 
     def mass_times(self, q: Links, vector: Links) -> Links:
         """Return the mass matrix times a vector by two constant products."""
-        c, s = cosine(q), sine(q)
+        c, s = cosine_and_sine(q)
         return c * (self.inertia @ (c * vector)) + s * (self.inertia @ (s * vector))
 
     def linear_force(self, q: Links, rate: Links) -> Links:
@@ -63,7 +63,7 @@ class PendulumEquations(AbstractEquations):
 
     def smooth_force(self, q: Links, rate: Links) -> Links:
         """Return the moments of gravity and of the turning of the links, N m."""
-        c, s, square = cosine(q), sine(q), rate**2
+        (c, s), square = cosine_and_sine(q), rate**2
         turning = s * (self.inertia @ (c * square)) - c * (self.inertia @ (s * square))
         return self.gravity * self.moment * s - turning
 
@@ -75,7 +75,7 @@ class PendulumEquations(AbstractEquations):
         """Return how deep the limiters are in the face of their link, m."""
         if not self.stops:
             return jnp.zeros(0)
-        c, s = cosine(q), sine(q)
+        c, s = cosine_and_sine(q)
         across, along = self.link_length * (self.below @ s), self.link_length * (self.below @ c)
         c, s = self.facing @ c, self.facing @ s
         reach = across * c + (self.limiter_height - along) * s
@@ -83,7 +83,8 @@ class PendulumEquations(AbstractEquations):
 
     def tip(self, q: Links) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Return where the tip is from the hinge, across and up, m."""
-        return self.link_length * jnp.sum(sine(q)), self.link_length * jnp.sum(cosine(q))
+        up, across = (self.link_length * jnp.sum(part) for part in cosine_and_sine(q))
+        return across, up
 
     def response(self, q: Links) -> Float[Array, ""]:
         """Return the displacement of the tip relative to the base, m."""

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from vibrojax._tools.trigonometry import cosine
+from vibrojax._tools.trigonometry import cosine_and_sine
 from vibrojax.steady.contact_times import Events, PiecewiseMotion, Tables, forced, moved_on
 from vibrojax.steady.exact_means import mean_square_and_harmonic
 from vibrojax.stepping.cubic import Cubic, cubic_between, cubic_maximum
@@ -65,12 +65,12 @@ def look(
         tables.angular_frequency,
         time,
     )
-    sine, cosine_ = cosine(angle - np.pi / 2), cosine(angle)
+    cosine, sine = cosine_and_sine(angle)
 
     def rows_of(p: int) -> Rows:
         value = phases.readout[p] @ moved + phases.readout_rest[p][:, None]
         wave = tables.rows[p]
-        return value + wave.real[:, None] * sine + wave.imag[:, None] * cosine_
+        return value + wave.real[:, None] * sine + wave.imag[:, None] * cosine
 
     rows = rows_of(0)
     for p in range(1, 2**phases.num_stops):

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from vibrojax._tools.trigonometry import cosine
+from vibrojax._tools.trigonometry import cosine_and_sine, sine
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import AbstractEquations, LinearEquations
 from vibrojax.model.laws import can_pull, linear_coefficients
@@ -146,8 +146,8 @@ def growth(phases: ContactPhases, phase: int, time: Scalar) -> Float[Array, "sta
     decay, turn = phases.exponent[phase] * time, phases.rate[phase] * time
     growth = jnp.exp(decay)
     # Real pairs have rate 0, each row its own exponent.
-    real = jnp.expm1(decay) - 2 * growth * cosine(turn / 2 - np.pi / 2) ** 2
-    imag = growth * cosine(turn - np.pi / 2)
+    real = jnp.expm1(decay) - 2 * growth * sine(turn / 2) ** 2
+    imag = growth * sine(turn)
     (a, b), (c, d) = ([jnp.diag(row) for row in part] for part in (real, imag))
     return jnp.block([[a, -c], [d, b]])
 
@@ -171,10 +171,9 @@ def single_contact(tables: Tables, contact_fraction: Scalar) -> SingleContact:
     angle, time, flight = durations(tables, contact_fraction)
     contact, eye = growth(phases, CONTACT, time), jnp.eye(2 * phases.num_blocks)
     grown, kept, mean = eye + contact, eye + growth(phases, FLIGHT, flight), contact / angle
-    cos, sin = cosine(angle), cosine(angle - np.pi / 2)
+    cos, sin = cosine_and_sine(angle)
     turned = lax.complex(cos, sin)
-    half_sine = cosine(angle / 2 - np.pi / 2)
-    mean_turn = lax.complex(-2 * half_sine**2, sin) / angle
+    mean_turn = lax.complex(-2 * sine(angle / 2) ** 2, sin) / angle
 
     # Free parts: z in contact at touch, y in flight at departure. The steady parts return.
     exchange = phases.change[CONTACT, 0]

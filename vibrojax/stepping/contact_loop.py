@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from vibrojax._tools.trigonometry import cosine
+from vibrojax._tools.trigonometry import cosine_and_sine
 from vibrojax.stepping.contact_phases import ContactPhases, spread
 from vibrojax.stepping.elementary import apply_matrix, computed_once, pick, where_needed
 from vibrojax.stepping.forcing import Forcing
@@ -103,29 +103,27 @@ class ContactLoop:
     def phasor(self, time: Float[Array, "*#where"]) -> Wave:
         """Sine and cosine of the drive phase, as one array."""
         angle = self.force.start_phase + self.force.angular_frequency * time
-        return cosine(angle - np.reshape([np.pi / 2, 0.0], (2,) + (1,) * angle.ndim))
+        return jnp.stack(cosine_and_sine(angle)[::-1])
 
     def blocks_of(
         self, state: Float[Array, "states *#lanes"], phase: Phase, time: Number
     ) -> Float[Array, "2 blocks *lanes"]:
         """Block coordinates of a state (q, q') in its phase of contact."""
-        every = range(self.count)
-        flat = [apply_matrix(self.phases.from_state[p], state) - self.still(p, time) for p in every]
-        chosen = pick(phase, jnp.stack(flat))
-        return chosen.reshape(2, self.n, *chosen.shape[1:])
+        from_state = pick(phase, spread(self.phases.from_state, 3, self.lanes))
+        flat = apply_matrix(from_state, state) - self.still(phase, time)
+        return flat.reshape(2, self.n, *flat.shape[1:])
 
     def state_of(self, blocks: Blocks, phase: Phase, time: Number) -> Float[Array, "states *lanes"]:
         """State (q, q') of block coordinates."""
         flat = blocks.reshape(2 * self.n, *blocks.shape[2:])
-        to_state, every = self.phases.to_state, range(self.count)
-        states = [apply_matrix(to_state[p], flat + self.still(p, time)) for p in every]
-        return pick(phase, jnp.stack(states))
+        to_state = pick(phase, spread(self.phases.to_state, 3, self.lanes))
+        return apply_matrix(to_state, flat + self.still(phase, time))
 
-    def still(self, phase: int, time: Number) -> Float[Array, "states *lanes"]:
+    def still(self, phase: Phase, time: Number) -> Float[Array, "states *lanes"]:
         """Block coordinates of rest and the steady response."""
-        steady, (sine, cosine_) = self.force.blocks[phase], self.phasor(time)
-        rest = spread(self.phases.rest[phase], 1, self.lanes)
-        return rest + steady.real * sine + steady.imag * cosine_
+        steady, (sine, cosine) = pick(phase, self.force.blocks), self.phasor(time)
+        rest = pick(phase, spread(self.phases.rest, 2, self.lanes))
+        return rest + steady.real * sine + steady.imag * cosine
 
     def pushed(self, blocks: Blocks, phase: Phase, time: Number, step: Number) -> Blocks:
         """Add what the drive does over a step to the blocks that it turns in resonance."""
@@ -247,9 +245,9 @@ class ContactLoop:
     ) -> Float[Array, "2 blocks *lanes"]:
         """Block coordinates of the phase that a stop's change of contact leads to."""
         flat = landed.reshape(2 * self.n, *landed.shape[2:])
-        sine, cosine_ = self.phasor(time)
+        sine, cosine = self.phasor(time)
         rows = apply_matrix(self.change, flat)
         rows = rows.reshape(self.count, self.stops, 2 * self.n, *rows.shape[1:])
         rows = rows + self.change_rest
-        rows = rows + self.change_wave[0] * sine + self.change_wave[1] * cosine_
+        rows = rows + self.change_wave[0] * sine + self.change_wave[1] * cosine
         return pick(stop, pick(phase, rows)).reshape(landed.shape)

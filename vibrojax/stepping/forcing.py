@@ -13,7 +13,6 @@ from vibrojax.stepping.contact_phases import (
     resonant_blocks,
     spread,
 )
-from vibrojax.stepping.elementary import apply_matrix
 
 TOUCH = 1e-9
 """Depth over the gap below which a stop is not touched."""
@@ -39,17 +38,16 @@ def forcing(
     start_phase: Float[Array, "*#lanes"],
 ) -> Forcing:
     """Tabulate what a harmonic input Im(amplitude exp(i phase)) does in every phase."""
-    stops, count = phases.num_stops, 2**phases.num_stops
+    stops, lanes = phases.num_stops, angular_frequency.ndim
     steady = forced_blocks(phases, amplitude, angular_frequency)
     driven = resonant_blocks(phases, amplitude, angular_frequency)
     read = steady_readout(phases, steady, driven, angular_frequency)
-    change = jnp.zeros((count, stops, *steady.shape[1:]), steady.dtype)
-    for p, s in np.ndindex(count, stops):
-        moved = _complex_apply(phases.change[p, s], steady[p]) - steady[p ^ (1 << s)]
-        change = change.at[p, s].set(moved)
+    # Every set of stops with one of them the other way.
+    others = np.arange(2**stops)[:, None] ^ (1 << np.arange(stops))
+    change = _applied(phases.change, steady[:, None], lanes) - steady[others]
     # A landing is judged by the gap: near resonance the steady response without stops says little.
-    gap = spread(phases.gap, 1, angular_frequency.ndim)
-    pushed = _complex_apply(phases.readout[0, :stops], driven[0])
+    gap = spread(phases.gap, 1, lanes)
+    pushed = _applied(phases.readout[0, :stops], driven[0], lanes)
     moved = jnp.abs(read[0, :stops]) + jnp.abs(pushed) / angular_frequency
     size = jnp.where(gap == 0, moved, jnp.abs(gap))
     size = jnp.min(size, axis=0) if stops else jnp.zeros_like(angular_frequency)
@@ -71,22 +69,24 @@ def steady_readout(
     angular_frequency: Float[Array, "*#lanes"],
 ) -> Complex[Array, "phases rows *#lanes"]:
     """What the read-out rows see of the steady response and of the input of blocks in resonance."""
-    s, every = phases.num_stops, range(2**phases.num_stops)
-    read = jnp.stack([_complex_apply(phases.readout[p], steady[p]) for p in every])
+    s, lanes = phases.num_stops, angular_frequency.ndim
+    read = _applied(phases.readout, steady, lanes)
     # The steady response is no free motion of a block: its acceleration is -w^2 its depth.
     acceleration = -(angular_frequency**2) * read[:, :s]
     if driven is not None:
-        rates = phases.readout[:, s : 2 * s]
-        acceleration = acceleration + jnp.stack(
-            [_complex_apply(rates[p], driven[p]) for p in every]
-        )
+        acceleration = acceleration + _applied(phases.readout[:, s : 2 * s], driven, lanes)
     return read.at[:, 2 * s : 3 * s].set(acceleration)
 
 
-def _complex_apply(
-    matrix: Float[Array, "rows columns *#lanes"], vector: Complex[Array, "columns *#lanes"]
-) -> Complex[Array, "rows *#lanes"]:
-    return apply_matrix(matrix, vector.real) + 1j * apply_matrix(matrix, vector.imag)
+def _applied(
+    matrices: Float[Array, "..."], vectors: Complex[Array, "..."], lanes: int
+) -> Complex[Array, "..."]:
+    """Matrices times vectors, rows and columns the axes before the lanes, which may be missing.
+
+    A sum over an axis compiles quickly, and this runs once in a call.
+    """
+    wide = spread(matrices, vectors.ndim + 1 - lanes, lanes)
+    return jnp.sum(wide * jnp.expand_dims(vectors, -2 - lanes), axis=-1 - lanes)
 
 
 def longest_step(

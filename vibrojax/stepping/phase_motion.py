@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int, Shaped
 
-from vibrojax._tools.trigonometry import cosine
+from vibrojax._tools.trigonometry import cosine_and_sine
 from vibrojax._tools.types import AnyArray
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
 from vibrojax.stepping.resonance import driven_growth
@@ -127,14 +127,14 @@ def follow(
         return jnp.concatenate([along, turn * first + decay[1] * second])
 
     drive = begun + rate * time
-    sine, cosine_ = cosine(drive - np.pi / 2), cosine(drive)
+    cosine, sine = cosine_and_sine(drive)
     rest = phases.rest[phase].reshape((-1,) + (1,) * time.ndim)
-    change = derived(moved) + driven.real * sine + driven.imag * cosine_
-    driven_change = rate * (driven.real * cosine_ - driven.imag * sine)
+    change = derived(moved) + driven.real * sine + driven.imag * cosine
+    driven_change = rate * (driven.real * cosine - driven.imag * sine)
     real, imag = steady.real * sine, steady.imag * sine
-    wave = real + steady.imag * cosine_
+    wave = real + steady.imag * cosine
     # d/dt of Im(Z exp(i angle)) is Im(i w Z exp(i angle)).
-    wave_change = rate * (steady.real * cosine_ - imag)
+    wave_change = rate * (steady.real * cosine - imag)
     second_change = derived(change) + driven_change - rate**2 * wave
     return moved + rest + wave, change + wave_change, second_change
 

@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 
-from vibrojax._tools.trigonometry import cosine
+from vibrojax._tools.trigonometry import cosine_and_sine
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import AbstractEquations, contact_slope
@@ -45,7 +45,7 @@ def driven_growth(
     """
     first, second = jnp.split(driven, 2)
     pole, drive = lax.complex(decay, rate), 1j * angular_frequency
-    start, end = _turn(jnp.asarray(angle)), _turn(jnp.asarray(angle + angular_frequency * time))
+    start, end = _turn(jnp.stack(jnp.broadcast_arrays(angle, angle + angular_frequency * time)))
     grown = jnp.exp(decay * time) * _turn(rate * time)
     # The quotient of the differences above by its series: in resonance this is small.
     apart = (drive - pole) * time
@@ -59,7 +59,7 @@ def driven_growth(
 
 
 def _turn(angle: Float[Array, "..."]) -> Complex[Array, "..."]:
-    return lax.complex(cosine(angle), cosine(angle - np.pi / 2))
+    return lax.complex(*cosine_and_sine(angle))
 
 
 def is_resonant(

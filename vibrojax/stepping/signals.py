@@ -68,12 +68,7 @@ def with_derivatives(
         # What a drive in resonance adds to a block counts in the next derivative.
         structure = row[:, :, :-1].reshape(len(row), -1, *row.shape[3:])
         added = _of_wave(jnp.sum(structure * force.driven[:, :, None], axis=1))
-        row = jnp.stack(
-            [
-                slope_row(a[:, :, None], b[:, None], r)
-                for a, b, r in zip(turning.decay, turning.rate, row, strict=True)
-            ]
-        )
+        row = jax.vmap(slope_row)(turning.decay[:, :, :, None], turning.rate[:, :, None], row)
         row = row.at[:, :, -1].add(added)
         rows.append(row)
     return jnp.stack(rows, axis=3)

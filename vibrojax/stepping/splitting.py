@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.compiled import compiled
-from vibrojax._tools.trigonometry import cosine, sine
+from vibrojax._tools.trigonometry import cosine_and_sine
 from vibrojax.model.equations import (
     LinearEquations,
     contact_slope,
@@ -64,8 +64,9 @@ def drift(angular_frequency: Modes, damping_ratio: Modes, time: Lanes) -> Drift:
     decay = jnp.exp(-zeta * w * time)
     fast = jnp.exp(-(zeta * w + spread_) * time)
     slow = jnp.exp(jnp.where(over, spread_ - zeta * w, 0.0) * time)
-    even = jnp.where(under, decay * cosine(spin * time), jnp.where(over, (slow + fast) / 2, decay))
-    turning = decay * sine(spin * time) / spin
+    cosine, sine = cosine_and_sine(spin * time)
+    even = jnp.where(under, decay * cosine, jnp.where(over, (slow + fast) / 2, decay))
+    turning = decay * sine / spin
     sinh = (slow - fast) / (2 * spread_)
     odd = jnp.where(under, turning, jnp.where(over, sinh, decay * time))
     return Drift(even + zeta * w * odd, odd, -(w**2) * odd, even - zeta * w * odd)

@@ -10,7 +10,7 @@ from functools import partial
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from vibrojax._tools.trigonometry import cosine, sine
+from vibrojax._tools.trigonometry import cosine_and_sine
 from vibrojax.stepping.elementary import computed_once
 
 Turns = Float[Array, "3 *#shape"]
@@ -25,7 +25,7 @@ def turn_over(
 ) -> Float[Array, "3 blocks *lanes"]:
     """Turns over a time, s. Real pairs have rate 0, and each row its own exponent."""
     growth, angle = jnp.exp(decay * time), rate * time
-    c, s = cosine(angle), sine(angle)
+    c, s = cosine_and_sine(angle)
     return jnp.stack([growth[0] * c, growth[1] * c, growth[0] * s])
 
 
