@@ -11,7 +11,6 @@ written without cancellation, so that nothing happens when the pole p is i W.
 from types import ModuleType
 
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 
