@@ -10,12 +10,14 @@ sources may change under the same name.
 """
 
 import functools
+import gc
 import hashlib
 import io
 import pickle
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, overload
 
@@ -274,7 +276,8 @@ class Compiled(Generic[Given, Result]):
         """Take the program from memory or disk, or trace it and put it there."""
         known = self.programs.get(signature)
         if known is None:
-            known = self.programs[signature] = self._read_or_traced(signature, parts, arrays)
+            with _without_collecting():
+                known = self.programs[signature] = self._read_or_traced(signature, parts, arrays)
         return known
 
     def _read_or_traced(self, signature: Signature, parts: Parts, arrays: list[Any]) -> Program:
@@ -321,6 +324,18 @@ class Compiled(Generic[Given, Result]):
         except Exception:  # whatever the classes of arguments raise
             return None
         return folder / hashlib.sha256(known).hexdigest()[:32]
+
+
+@contextmanager
+def _without_collecting() -> Iterator[None]:
+    """Leave garbage where it is: tracing makes hardly any, and much that is looked through."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
 
 def _exported(flat: Callable[..., Any], arrays: Sequence[Any]) -> jax.export.Exported | None:

@@ -100,9 +100,9 @@ class _Branch:
         """Take a step of Newton's method: motion, its error, the way on there, if it is stable."""
         (blocks, times, w), n = search.now, len(self.unit)
         events = self.lanes.events
-        passed, push, late_by_w = self.lanes.through(w, blocks, times)
+        passed, _, slopes = self.lanes.through(self.lanes.driven(w), blocks, times)
         gap = (passed.blocks - blocks).reshape(self.unit.shape) / self.unit
-        push = push.reshape(gap.shape) * self.way / self.unit
+        push = slopes.end.reshape(gap.shape) * self.way / self.unit
         matrix = passed.matrix.reshape(n, *gap.shape) * self.unit / self.unit[:, None]
         gone = (blocks - search.last.blocks).reshape(gap.shape) / self.unit
         left = search.step - jnp.sum(search.along * gone, axis=0)
@@ -118,7 +118,7 @@ class _Branch:
         solved = jnp.linalg.solve(jnp.moveaxis(whole, -1, 0), jnp.moveaxis(right, -1, 0))
         change, on = jnp.moveaxis(solved, (0, 1, 2), (2, 1, 0))
         moved, dw = change[:-1] * self.unit, change[-1] * self.way
-        later = passed.late + apply_matrix(passed.delays, moved) + late_by_w * dw
+        later = passed.late + apply_matrix(passed.delays, moved) + slopes.late * dw
         later = jnp.where(events.stop >= 0, later, 0.0)
         error = jnp.maximum(size_of(change), jnp.max(jnp.abs(later), axis=0, initial=0.0))
         point = _Point(blocks + moved.reshape(blocks.shape), times + later, w + dw)
@@ -186,7 +186,7 @@ def fold_ahead(march: LaneTable, tracks: LaneTable, way: Float[AnyArray, " lanes
     # In units of their own change along the way, near a fold motions count as the frequency does.
     change, zero = size_of(track.state_slope[0]) * jnp.abs(way), jnp.zeros_like(w)
     branch = _Branch(lanes, jnp.where(change > 0, change, 1.0), way)
-    begin = _Point(lanes.begin(lanes.at(w), track.state[0]), track.times[0], w)
+    begin = _Point(lanes.begin(lanes.at(own.force_at(w)), track.state[0]), track.times[0], w)
     nothing = jnp.zeros((len(branch.unit), *w.shape))
     none, exact = jnp.zeros(w.shape, jnp.int32), track.known > 0
     # The way on from where it begins is found by a step of no length.
@@ -199,7 +199,7 @@ def fold_ahead(march: LaneTable, tracks: LaneTable, way: Float[AnyArray, " lanes
         (search, jnp.int32(0)),
     )
     there = search.last
-    state = lanes.at_start(lanes.at(there.w), there.blocks, there.times)
+    state = lanes.at_start(lanes.at(own.force_at(there.w)), there.blocks, there.times)
     return table_of(FoldAhead(search.found, there.w, state, there.times))
 
 

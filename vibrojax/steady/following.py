@@ -21,6 +21,7 @@ from vibrojax.steady.settling import NEAR, is_stable
 from vibrojax.stepping.contact_loop import ContactLoop
 from vibrojax.stepping.contact_phases import may_resonate
 from vibrojax.stepping.elementary import apply_matrix, pick
+from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.measures import MOST_EVENTS, EventLog
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 
@@ -123,6 +124,16 @@ class _Solved(NamedTuple):
     going: Bool[Array, " lanes"]
 
 
+class _ByFrequency(NamedTuple):
+    """Derivatives by the drive frequency, of a motion whose blocks at the section stay."""
+
+    end: Float[Array, "2 blocks lanes"]
+    late: Float[Array, "events lanes"]
+    """Of what the times of contact lack."""
+    state: Float[Array, "states lanes"]
+    """At the section, in units of energy."""
+
+
 class FollowedLanes:
     """Lanes with the events of their motions, apart from the drive frequency."""
 
@@ -134,9 +145,13 @@ class FollowedLanes:
         energy = pick(jnp.asarray(events.first_phase), of_state)
         self.energy = energy.reshape(2, -1, *energy.shape[1:])
 
-    def at(self, w: Float[Array, " lanes"]) -> KnownContacts:
-        """The lanes at a drive frequency, rad/s."""
-        return KnownContacts(ContactLoop(self.march.phases, self.march.force_at(w)), self.events)
+    def driven(self, w: Float[Array, " lanes"]) -> tuple[Forcing, Forcing]:
+        """Tables of the drive at a frequency, rad/s, and their derivatives by it."""
+        return jax.jvp(self.march.force_at, (w,), (jnp.ones_like(w),))
+
+    def at(self, force: Forcing) -> KnownContacts:
+        """The lanes under a drive."""
+        return KnownContacts(ContactLoop(self.march.phases, force), self.events)
 
     def begin(self, at: KnownContacts, state: Float[Array, "states lanes"]) -> Array:
         """Block coordinates at the section of a state in units of energy."""
@@ -176,15 +191,20 @@ class FollowedLanes:
         first = _Solved(blocks, times, jnp.full_like(size, jnp.inf), none, whole)
         return lax.while_loop(lambda found: jnp.any(found.going), better, first)
 
-    def through(self, w: Array, blocks: Array, times: Array) -> tuple[Passage, Array, Array]:
-        """Go through a period; how its end and what the times lack depend on the frequency."""
+    def through(
+        self, drive: tuple[Forcing, Forcing], blocks: Array, times: Array
+    ) -> tuple[Passage, Array, "_ByFrequency"]:
+        """Go through a period; also the state where it begins, and what depends on the drive."""
 
-        def passed_at(w: Array) -> tuple[tuple[Array, Array], Passage]:
-            passed = self.at(w).go_through(blocks, times, self.events.section + TURN)
-            return (passed.blocks, passed.late), passed
+        def passed_at(force: Forcing) -> tuple["_ByFrequency", tuple[Passage, Array]]:
+            at, section = self.at(force), self.events.section
+            passed = at.go_through(blocks, times, section + TURN)
+            state = self.state(at, blocks, self.events.first_phase, section)
+            return _ByFrequency(passed.blocks, passed.late, state), (passed, state)
 
-        _, (push, late), passed = jax.jvp(passed_at, (w,), (jnp.ones_like(w),), has_aux=True)
-        return passed, push, late
+        force, rate = drive
+        _, slopes, (passed, state) = jax.jvp(passed_at, (force,), (rate,), has_aux=True)
+        return passed, state, slopes
 
     def at_start(self, at: KnownContacts, blocks: Array, times: Array) -> Array:
         """State (q, q') at drive phase 0, which lies within the turn behind the section."""
@@ -192,19 +212,16 @@ class FollowedLanes:
         passed = at.go_through(blocks, times, origin)
         return self.state(at, passed.blocks, passed.phase, origin) / self.weight
 
-    def with_slopes(self, w: Array, found: _Solved) -> tuple[Array, Array, Array, Array]:
+    def with_slopes(
+        self, drive: tuple[Forcing, Forcing], found: _Solved
+    ) -> tuple[Array, Array, Array, Array]:
         """State and multipliers' matrix of motions; slopes of state and times by the frequency."""
-        first_phase = self.events.first_phase
-
-        def state_at(w: Array, blocks: Array) -> Array:
-            return self.state(self.at(w), blocks, first_phase, self.events.section)
-
-        passed, push, late = self.through(w, found.blocks, found.times)
-        change = _to_return(passed, push)
-        blocks_slope = change.reshape(push.shape)
-        state, slope = jax.jvp(state_at, (w, found.blocks), (jnp.ones_like(w), blocks_slope))
+        passed, state, slopes = self.through(drive, found.blocks, found.times)
+        change = _to_return(passed, slopes.end)
+        to_state = pick(jnp.asarray(self.events.first_phase), self.march.phases.to_state)
+        slope = slopes.state + self.weight * apply_matrix(to_state, change)
         matrix = passed.matrix.reshape(change.shape[0], *change.shape)
-        return state, matrix, slope, late + apply_matrix(passed.delays, change)
+        return state, matrix, slope, slopes.late + apply_matrix(passed.delays, change)
 
 
 def _predicted(track: Track, w: Float[Array, " lanes"]) -> tuple[Array, Array]:
@@ -261,7 +278,8 @@ def _section_moved(lanes: FollowedLanes, track: Track, close: Bool[Array, " lane
 
     There the newest point is a guess again.
     """
-    events, times, at = track.events, track.times[0], lanes.at(track.frequency[0])
+    events, times = track.events, track.times[0]
+    at = lanes.at(lanes.march.force_at(track.frequency[0]))
     used, length = events.stop >= 0, _after(track.events, track.times[0])
     longest = jnp.argmax(length, axis=0)[None]
     begun, long = (jnp.take_along_axis(a, longest, axis=0)[0] for a in (times, length))
@@ -294,14 +312,15 @@ def _advanced(
     lanes: FollowedLanes, track: Track, w: Float[Array, " lanes"]
 ) -> tuple[Track, Followed]:
     """Solve for the motions at a frequency; where that is not good, the track stays."""
-    events, known, at = track.events, track.known > 0, lanes.at(w)
+    events, known, drive = track.events, track.known > 0, lanes.driven(w)
+    at = lanes.at(drive[0])
     ahead = _predicted(track, w)
     guess, times = (
         jnp.where(known, a, b) for a, b in zip(ahead, (track.state[0], track.times[0]), strict=True)
     )
     size = size_of(guess)
     found = lanes.solve(at, lanes.begin(at, guess), times, jnp.where(size > 0, size, 1.0))
-    state, matrix, slope, times_slope = lanes.with_slopes(w, found)
+    state, matrix, slope, times_slope = lanes.with_slopes(drive, found)
     # Along one branch the slopes at both ends give the step between them.
     step = state - track.state[0]
     straight = (w - track.frequency[0]) / 2 * (slope + track.state_slope[0])

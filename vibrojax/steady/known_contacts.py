@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from vibrojax.steady.contact_times import Events
 from vibrojax.stepping.contact_loop import ContactLoop
 from vibrojax.stepping.contact_phases import spread
-from vibrojax.stepping.elementary import apply_matrix, computed_once, pick
+from vibrojax.stepping.elementary import computed_once, pick
 from vibrojax.stepping.turns import product, turn_over, turned
 
 lax = jax.lax
@@ -68,15 +68,14 @@ class KnownContacts:
     ):
         self.loop, self.events, self.peak, self.resonant = loop, events, peak, resonant
         phases, lanes = loop.phases, loop.lanes
-        count, stops, n = loop.count, loop.stops, loop.n
-        kicks = np.zeros((count, stops)).tolist()
-        for p, s in np.ndindex(count, stops):
-            # By how much velocities jump, per depth: where the force does, by damping times rate.
-            jumps = p >> s & 1 == 0 or phases.can_pull[s]
-            push_off = spread(phases.push_off, 2, lanes)[:, s]
-            damping = spread(phases.damping, 1, lanes)[s] * float(jumps)
-            kicks[p][s] = -damping * apply_matrix(phases.from_state[p ^ (1 << s)][:, n:], push_off)
-        self.kick: Any = jnp.asarray(kicks) if stops else None
+        every, stops = np.arange(loop.count)[:, None], np.arange(loop.stops)
+        # By how much velocities jump, per depth: where the force does, by damping times rate.
+        jumps = (every >> stops & 1 == 0) | np.asarray(phases.can_pull, bool)
+        damping = spread(phases.damping, 1, lanes) * jumps.reshape(*jumps.shape, *(1,) * lanes)
+        after = spread(phases.from_state, 3, lanes)[every ^ (1 << stops)]
+        push_off = jnp.moveaxis(spread(phases.push_off, 2, lanes), 1, 0)
+        kick = jnp.sum(after[:, :, :, loop.n :] * push_off[:, None], axis=3)
+        self.kick = -damping[:, :, None] * kick
         """Phases, stops, states, lanes."""
 
     def go_through(self, blocks: Blocks, times: Times, until: Float[Array, " lanes"]) -> Passage:
