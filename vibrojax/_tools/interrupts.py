@@ -68,7 +68,9 @@ _left: list[threading.Thread] = []
 
 
 _background: list[threading.Thread] = []
-"""The last of the threads that work in the background; each waits for the one before."""
+"""Threads that work in the background, and some that have ended."""
+_cores = threading.Semaphore(os.cpu_count() or 1)
+"""How many of them work at a time."""
 
 
 def in_threads(
@@ -126,21 +128,18 @@ def in_threads(
 
 
 def in_background(function: Callable[[], Result]) -> "Future[Result]":
-    """Call a function in the background, one after the other; return what will hold its result."""
+    """Call a function in the background, as many at once as there are cores; return its future."""
     future: Future[Result] = Future()
 
-    before = _background[-1] if _background else None
-
     def work() -> None:
-        if before is not None:
-            before.join()
-        try:
-            future.set_result(function())
-        except BaseException as error:
-            future.set_exception(error)
+        with _cores:
+            try:
+                future.set_result(function())
+            except BaseException as error:
+                future.set_exception(error)
 
     thread = threading.Thread(target=contextvars.copy_context().run, args=(work,), daemon=True)
-    _background[:] = [thread]
+    _background[:] = [*(other for other in _background if other.is_alive()), thread]
     thread.start()
     return future
 

@@ -1,5 +1,7 @@
 """The command `vibrojax`: sweeps, maps, modes and fits of a rig, from a terminal."""
 
+import atexit
+import gc
 import sys
 from collections.abc import Sequence
 
@@ -17,6 +19,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         from vibrojax._tools.interrupts import end_on_signals
 
+        # What was imported stays; what is left at the end goes with the process.
+        gc.freeze()
+        atexit.register(gc.freeze)
         with end_on_signals():
             sys.exit(main(sys.argv[1:]))
     if list(argv) == ["--version"]:

@@ -2,10 +2,12 @@
 
 import dataclasses
 import os
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from vibrojax._tools.interrupts import in_background
 from vibrojax._tools.kinds import listed
 from vibrojax.cli.options import Map, Sweep
 from vibrojax.io.rig_file import frequency_range, one_frequency, read_rig
@@ -104,15 +106,37 @@ def write(writers: Mapping[Path | None, Callable[[Path], object]]) -> list[Path]
     return list(wanted)
 
 
-def watch_compilation() -> list[float]:
-    """Return a list that fills with the seconds of every compilation."""
+def watch_compilation() -> Callable[[], float]:
+    """Return what tells in how many seconds from now on something was compiled."""
     import jax.monitoring
 
-    seconds: list[float] = []
+    spans: list[tuple[float, float]] = []
 
     def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         if event.endswith(("backend_compile_duration", "jaxpr_to_mlir_module_duration")):
-            seconds.append(duration_secs)
+            now = time.perf_counter()
+            spans.append((now - duration_secs, now))
+
+    def seconds() -> float:
+        total, until = 0.0, 0.0
+        for begun, ended in sorted(spans):  # some side by side
+            total += max(0.0, ended - max(begun, until))
+            until = max(until, ended)
+        return total
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     return seconds
+
+
+def import_ahead() -> None:
+    """Import in the background what files and pictures will be made with."""
+
+    def work() -> None:
+        import h5netcdf  # noqa: F401
+        import xarray
+
+        import vibrojax.plot.frequency_response  # noqa: F401
+
+        xarray.Variable((), 0.0)  # the first one looks for other packages of arrays
+
+    in_background(work)

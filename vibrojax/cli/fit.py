@@ -68,7 +68,7 @@ def run_fit(options: Fit) -> int:
     found.save(data)
     print(f"{title('Fit', options.rig)} to {options.curve}")
     print("\n".join(f"  {line}" for line in repr(found).splitlines()))
-    print(f"  time     {fitted - started:.1f} s (compiling {sum(compiling, 0.0):.1f} s)")
+    print(f"  time     {fitted - started:.1f} s (compiling {compiling():.1f} s)")
     print(f"  written  {data}, {drawing}")
     return 0
 

@@ -80,7 +80,7 @@ def run_map(options: Map) -> int:
     computed = time.perf_counter()
     written, notes = _draw(found, {drawing: plot_map, summary: plot_map_summary})
     if not options.quiet:
-        times = (computed - started, sum(compiling, 0.0), time.perf_counter() - computed)
+        times = (computed - started, compiling(), time.perf_counter() - computed)
         files = [str(path) for path in (store, *written) if path is not None]
         axis = next(name for name in FREQUENCIES if name in keywords)
         ways = max(1, len(chosen_response(keywords["response"]).layout.ways))

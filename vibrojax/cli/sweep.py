@@ -7,6 +7,7 @@ from vibrojax.cli.files import (
     PICTURES,
     changed,
     frequencies_of,
+    import_ahead,
     picture,
     read,
     target,
@@ -33,6 +34,7 @@ def run_sweep(options: Sweep) -> int:
     names = ("direction", "tolerance", "steps_per_period")
     settings = changed(asked.get("settings", SweepSettings()), options, names, {})
     compiling = watch_compilation()
+    import_ahead()
     progress = False if options.quiet else None
     response = stoppable(
         frequency_sweep, system, progress=progress, settings=settings, **frequencies
@@ -40,7 +42,7 @@ def run_sweep(options: Sweep) -> int:
     swept = time.perf_counter()
     written = write({data: response.save, drawing: picture(response.plot, drawing)})
     if not options.quiet:
-        times = (swept - started, sum(compiling, 0.0), time.perf_counter() - swept)
+        times = (swept - started, compiling(), time.perf_counter() - swept)
         print(sweep_table(title("Frequency sweep", options.rig), response, times, written))
     return 0
 

@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas
 
 from vibrojax.model.modes import Modes
 from vibrojax.results.status import Status
 from vibrojax.sweep.frequency_response import FrequencyResponse
+
+if TYPE_CHECKING:
+    import pandas
 
 
 def sweep_table(
@@ -67,8 +70,10 @@ def sweep_table(
     return "\n".join(lines)
 
 
-def modes_rows(found: Modes) -> pandas.DataFrame:
+def modes_rows(found: Modes) -> "pandas.DataFrame":
     """Return a row for every mode, to the last digit."""
+    import pandas
+
     columns = {
         "mode": np.arange(1, len(found.frequency) + 1),
         "frequency_hz": found.frequency,

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array
 
 from vibrojax._tools.compiled import Compiled, compiled
 
@@ -43,10 +42,11 @@ def with_columns(function: Callable[..., Result], numbers: Any, *constants: Any)
     @values.defjvp
     def values_jvp(primals, tangents):
         (x, arrays), (change, _) = primals, tangents
-        out = values(x, arrays)
-        columns = iter(_columns(function, unravel(x), eqx.combine(arrays, held)))
+        found, columns = _columns(function, unravel(x), eqx.combine(arrays, held))
+        out, structure[:] = jax.tree.leaves(found), [jax.tree.structure(found)]
+        left = iter(columns)
         changes = [
-            (next(columns) @ change).astype(a.dtype)
+            (next(left) @ change).astype(a.dtype)
             if _is_smooth(a)
             else np.zeros(a.shape, jax.dtypes.float0)
             for a in out
@@ -60,9 +60,10 @@ def with_columns(function: Callable[..., Result], numbers: Any, *constants: Any)
 def compile_ahead(function: Compiled[..., Any], numbers: Any, *constants: Any) -> None:
     """Compile in the background what `with_columns` will run; of constants the shapes count."""
     still = frozen(numbers)
-    function.ahead(still, *constants)
     if any(isinstance(a, Tracer) for a in jax.tree.leaves(numbers)):  # to be differentiated
         _columns.ahead(function, still, constants)
+    else:
+        function.ahead(still, *constants)
 
 
 def _is_smooth(array: Any) -> bool:
@@ -70,12 +71,13 @@ def _is_smooth(array: Any) -> bool:
 
 
 @compiled(lightly=True)
-def _columns(function: Callable[..., Any], numbers: Any, constants: Any) -> list[Array]:
-    """Jacobians of what is returned and has one, the numbers along the last axis."""
+def _columns(function: Callable[..., Result], numbers: Any, constants: Any) -> Any:
+    """What is returned, and Jacobians of what of it has one, the numbers along the last axis."""
     flat, unravel = ravel_pytree(numbers)
 
     def smooth(x):
-        out = jax.tree.leaves(function(unravel(x), *constants))
-        return [jnp.asarray(a) for a in out if _is_smooth(a)]
+        found = function(unravel(x), *constants)
+        return [jnp.asarray(a) for a in jax.tree.leaves(found) if _is_smooth(a)], found
 
-    return jax.jacfwd(smooth)(flat)
+    columns, found = jax.jacfwd(smooth, has_aux=True)(flat)
+    return found, columns

@@ -101,7 +101,7 @@ def periodic_response(
         numbers, how = (arrays, value), (is_ratio, period, state)
         still = frozen((*numbers, *how))
         if is_alone(still):
-            compile_ahead(_read_exactly, numbers, _solved_exactly.kinds(*still), *frozen(how))
+            compile_ahead(_read_exactly, numbers, _solved_exactly.ahead(*still), *frozen(how))
         found = with_columns(_read_exactly, numbers, _solved_exactly(*still), *how)
     elif not equations.stops:
         raise ValueError("HarmonicBalance() needs a stop; leave method out for a linear system.")

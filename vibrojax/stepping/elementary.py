@@ -49,10 +49,22 @@ def apply_matrix(
         # So few lanes that calls count less than what takes so long to compile.
         return jnp.einsum("ij...,j...->i...", matrix, vector)
     # One fused loop over lanes, where a batch of products is one call for each of them.
-    total = matrix[:, 0] * vector[0]
-    for j in range(1, len(vector)):
-        total = total + matrix[:, j] * vector[j]
-    return total
+    return total(matrix * vector, axis=1)
+
+
+def total(terms: Array, axis: int) -> Array:
+    """Sum along an axis by halves, which XLA fuses and vectorises; a reduction it does not."""
+
+    def part(terms: Array, first: int, last: int) -> Array:
+        return jax.lax.slice_in_dim(terms, first, last, axis=axis)
+
+    odd = []
+    while (count := terms.shape[axis]) > 1:
+        half = count // 2
+        if count % 2:
+            odd.append(part(terms, count - 1, count))
+        terms = part(terms, 0, half) + part(terms, half, 2 * half)
+    return jnp.squeeze(sum(odd, terms), axis)
 
 
 def pick(index: Int[Array, "*#lanes"], table: Array) -> Array:

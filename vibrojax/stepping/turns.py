@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from vibrojax._tools.trigonometry import cosine_and_sine
-from vibrojax.stepping.elementary import computed_once
+from vibrojax.stepping.elementary import computed_once, total
 
 Turns = Float[Array, "3 *#shape"]
 Tick = Int[Array, ""]
@@ -93,7 +93,4 @@ def product(
     rows: Float[Array, "2 blocks *#shape"], blocks: Float[Array, "2 blocks *#shape"]
 ) -> Float[Array, "*shape"]:
     """Sum over blocks and their two rows: one fused loop, where a reduction is not vectorised."""
-    total = rows[0, 0] * blocks[0, 0] + rows[1, 0] * blocks[1, 0]
-    for i in range(1, rows.shape[1]):
-        total = total + rows[0, i] * blocks[0, i] + rows[1, i] * blocks[1, i]
-    return total
+    return total(total(rows * blocks, axis=1), axis=0)

@@ -63,7 +63,7 @@ def frequency_sweep(
     plan = (settings or SweepSettings()).plan(lanes.sample, axis, grid)
     points = len(grid) * len(plan.directions) * int(np.prod(lanes.shape))
     with progress_bar("sweep", points, progress) as bar:
-        compile_ahead(plan, rigs_of.kinds(lanes.systems))
+        compile_ahead(plan, rigs_of.ahead(lanes.systems))
         rigs = rigs_of(lanes.systems)
         swept = sweep_rigs(plan, rigs, bar.update, warn)
     return _result(lanes, plan, swept)
