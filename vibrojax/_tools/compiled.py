@@ -51,6 +51,7 @@ SETTINGS = (
     "threefry_partitionable",
 )
 """Of JAX, on which a traced program depends."""
+LINES = "jax_traceback_in_locations_limit"
 STEP_BY_STEP = ("disable_jit", "debug_nans", "debug_infs", "check_tracer_leaks")
 """Of JAX, which need the function itself."""
 ANY_CALLS = [
@@ -129,7 +130,8 @@ class Program:
             self.waiting = in_background(self._lowered(arrays).compile)
 
     def _lowered(self, arrays: Sequence[Any]) -> Any:
-        lowered = self.traced.lower(*_kinds(arrays))
+        with _tracing():
+            lowered = self.traced.lower(*_kinds(arrays))
         self.shapes = _kinds(lowered.out_info)
         return lowered
 
@@ -156,9 +158,13 @@ def _described(thing: Any) -> bytes:
     return buffer.getvalue()
 
 
+def _has_shape(leaf: Any) -> bool:
+    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
+
+
 def _sorted_out(thing: Any) -> tuple[list[Any], Parts]:
     leaves, structure = jax.tree.flatten(thing)
-    is_array = tuple(eqx.is_array(a) or isinstance(a, jax.ShapeDtypeStruct) for a in leaves)
+    is_array = tuple(map(_has_shape, leaves))
     both = list(zip(leaves, is_array, strict=True))
     held = tuple(None if a else leaf for leaf, a in both)
     return [leaf for leaf, a in both if a], Parts(structure, held, is_array)
@@ -166,7 +172,7 @@ def _sorted_out(thing: Any) -> tuple[list[Any], Parts]:
 
 def is_alone(tree: Any) -> bool:
     """Whether a call with these arrays is a program, not a part of a transformation or a check."""
-    arrays = [a for a in jax.tree.leaves(tree) if eqx.is_array(a)]
+    arrays = [a for a in jax.tree.leaves(tree) if _has_shape(a)]
     # Inside of jit, and of loops and the like, every new array is traced.
     if any(isinstance(a, Tracer) for a in (*arrays, jnp.zeros(()))):
         return False
@@ -256,12 +262,14 @@ class Compiled(Generic[Given, Result]):
     def kinds(self, *args: Any, **kwargs: Any) -> Any:
         """Return what a call would, with `jax.ShapeDtypeStruct` in the place of arrays.
 
-        Arrays may be given as such too. Nothing is compiled.
+        Arrays may be given as such too, and be traced: only their shapes are looked at. Nothing is
+        compiled.
         """
         arrays, parts = _sorted_out((args, kwargs))
-        if not is_alone(arrays):
+        shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays]
+        if not is_alone(shapes):
             return eqx.filter_eval_shape(self.plain, *args, **kwargs)
-        return self._program(_signature(arrays, parts), parts, arrays).kinds(arrays)
+        return self._program(_signature(shapes, parts), parts, shapes).kinds(shapes)
 
     def ahead(self, *args: Any, **kwargs: Any) -> Any:
         """Compile in the background what will be called with such arguments; return the `kinds`."""
@@ -276,7 +284,7 @@ class Compiled(Generic[Given, Result]):
         """Take the program from memory or disk, or trace it and put it there."""
         known = self.programs.get(signature)
         if known is None:
-            with _without_collecting():
+            with _tracing():
                 known = self.programs[signature] = self._read_or_traced(signature, parts, arrays)
         return known
 
@@ -327,15 +335,23 @@ class Compiled(Generic[Given, Result]):
 
 
 @contextmanager
-def _without_collecting() -> Iterator[None]:
-    """Leave garbage where it is: tracing makes hardly any, and much that is looked through."""
-    was = gc.isenabled()
+def _tracing() -> Iterator[None]:
+    """Leave out what takes time and nobody looks at.
+
+    Garbage stays where it is: tracing makes hardly any, and much that is looked through for it. And
+    no operation is told which lines of Python it is from, which XLA copies from pass to pass.
+    """
+    collects, lines = gc.isenabled(), getattr(jax.config, LINES, 0)
     gc.disable()
+    if lines:
+        jax.config.update(LINES, 0)
     try:
         yield
-    finally:
-        if was:
+    finally:  # by the thread that found them on, if several trace
+        if collects:
             gc.enable()
+        if lines:
+            jax.config.update(LINES, lines)
 
 
 def _exported(flat: Callable[..., Any], arrays: Sequence[Any]) -> jax.export.Exported | None:

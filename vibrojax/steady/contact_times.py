@@ -7,7 +7,6 @@ corrected. Whether the motion keeps to its sequence (a virtual orbit does not) i
 is read.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -252,85 +251,41 @@ class Solved(NamedTuple):
     """A periodic motion found by Newton's method."""
 
     orbit: Orbit
-    parameter: Float[Array, ""]
     residual: Float[Array, ""]
     """Largest of the return of the state and the last moves of the events, relative."""
     jacobian: Float[Array, "states states"]
     """Of the period map, in units of energy: the monodromy matrix."""
-    slope: Float[Array, " states"]
-    """Derivative of the period map in the parameter."""
     motion: PiecewiseMotion
 
 
-def null_vector(
-    matrix: Float[Array, "rows rows"], slope: Float[Array, " rows"]
-) -> Float[Array, " unknowns"]:
-    """Unit vector that the matrix, with the slope as one more column, maps to zero."""
-    whole = jnp.concatenate([matrix, slope[:, None]], axis=1)
-    return jnp.linalg.qr(whole.T, mode="complete")[0][:, -1]
-
-
 def solve_orbit(
-    tables_at: Callable[[Float[Array, ""]], Tables],
-    events: Events,
-    orbit: Orbit,
-    parameter: Float[Array, ""],
-    period: int,
-    *,
-    hold: bool | Bool[Array, ""],
-    iterations: int = 4,
+    tables: Tables, events: Events, orbit: Orbit, period: int, iterations: int = 4
 ) -> Solved:
-    """Newton's method on the state at the section, the event times following.
-
-    `tables_at(parameter)` gives the tables. With `hold` the parameter stays; else the motion moves
-    across the branch through the guess, so that a fold is no obstacle.
-    """
-    n = orbit.state.size
-    count = events.number
-    weight = tables_at(parameter).phases.weight
-    eye = jnp.eye(n + 1)
-
+    """Newton's method on the state at the section, the event times following."""
+    n, count, weight = orbit.state.size, events.number, tables.phases.weight
     guess = weight * orbit.state
     energy = jnp.sqrt(jnp.sum(guess**2))
-    size = lax.stop_gradient(jnp.where(energy > 0, energy, 1.0))
-
-    def image(
-        p: Float[Array, ""], x: Float[Array, " states"], times: Float[Array, " events"]
-    ) -> tuple[Float[Array, " states"], tuple[PiecewiseMotion, Float[Array, "states states"]]]:
-        tables = tables_at(p)
-        orbit = Orbit(x * (size / tables.phases.weight), times)
-        motion = follow_events(tables, events, orbit, period, count, with_jacobian=True)
-        assert motion.jacobian is not None
-        unit = lax.stop_gradient(tables.phases.weight)
-        matrix = unit[:, None] * motion.jacobian / unit
-        return motion.end * (tables.phases.weight / size), (motion, matrix)
+    size = jnp.where(energy > 0, energy, 1.0)
 
     def newton(carry: tuple[Any, ...], last: Bool[Array, ""]) -> tuple[tuple[Any, ...], None]:
-        x, p, times, normal, _ = carry
-        end, slope, (motion, matrix) = jax.jvp(
-            lambda p: image(p, x, times), (p,), (jnp.ones_like(p),), has_aux=True
-        )
-        moved = motion.times
-        shifted = matrix - eye[:n, :n]
-        first = jnp.all(normal == 0)
-        across = jnp.where(hold, eye[-1], null_vector(shifted, slope))
-        normal = jnp.where(first, across, normal)
-        bordered = jnp.block([[shifted, slope[:, None]], [normal[None]]])
-        change = jnp.linalg.solve(bordered, -jnp.append(end - x, 0.0))
+        x, times, _ = carry
+        orbit = Orbit(x * (size / weight), times)
+        motion = follow_events(tables, events, orbit, period, count, with_jacobian=True)
+        assert motion.jacobian is not None
+        matrix = weight[:, None] * motion.jacobian / weight
+        back = motion.end * (weight / size) - x
         used = events.stop >= 0
         error = jnp.maximum(
-            jnp.max(jnp.abs(end - x)),
-            jnp.max(jnp.where(used, jnp.abs(moved - times), 0.0), initial=0.0),
+            jnp.max(jnp.abs(back)),
+            jnp.max(jnp.where(used, jnp.abs(motion.times - times), 0.0), initial=0.0),
         )
+        change = jnp.linalg.solve(jnp.eye(n) - matrix, back)
         length = jnp.max(jnp.abs(change))
         change = change * jnp.minimum(1.0, 0.5 / jnp.where(length > 0, length, 1.0))
-        stay = jnp.asarray(last)
         return (
-            jnp.where(stay, x, x + change[:-1]),
-            jnp.where(stay, p, p + change[-1]),
-            jnp.where(stay, times, moved),
-            normal,
-            (error, matrix, slope, motion._replace(jacobian=None)),
+            jnp.where(last, x, x + change),
+            jnp.where(last, times, motion.times),
+            (error, matrix, motion._replace(jacobian=None)),
         ), None
 
     room = orbit.times.size + 1
@@ -343,9 +298,7 @@ def solve_orbit(
         stop=jnp.zeros(room),
         jacobian=None,
     )
-    empty = (jnp.asarray(jnp.inf), jnp.zeros((n, n)), jnp.zeros(n), nothing)
-    carry = (guess / size, parameter, orbit.times, jnp.zeros(n + 1), empty)
+    carry = guess / size, orbit.times, (jnp.asarray(jnp.inf), jnp.zeros((n, n)), nothing)
     rounds = jnp.arange(iterations + 1) == iterations
-    (x, p, times, _, (error, matrix, slope, motion)), _ = lax.scan(newton, carry, rounds)
-    state = x * size / tables_at(p).phases.weight
-    return Solved(Orbit(state, times), p, error, matrix, slope, motion)
+    (x, times, (error, matrix, motion)), _ = lax.scan(newton, carry, rounds)
+    return Solved(Orbit(x * size / weight, times), error, matrix, motion)

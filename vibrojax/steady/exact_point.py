@@ -1,4 +1,4 @@
-"""A point of a branch made exact: from a sampled motion to contact times, tangent and stability."""
+"""A guess made exact: from a sampled motion to contact times and stability."""
 
 from typing import NamedTuple
 
@@ -6,30 +6,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.types import AnyArray
-from vibrojax.steady.contact_times import (
-    Events,
-    Orbit,
-    PiecewiseMotion,
-    null_vector,
-    solve_orbit,
-)
+from vibrojax.steady.contact_times import Events, Orbit, PiecewiseMotion, Tables, solve_orbit
 from vibrojax.steady.orbit_reading import Reading, keeps_to_events, read_motion
 
 ACCURATE = 1e-9
 """Largest relative residual of an exact motion."""
 NEAR = 0.3
 """Farthest that a motion may lie from its guess, over its size: beyond, it is another one."""
+ITERATIONS = 8
 
 
 class ExactPoint(NamedTuple):
-    """A point of a branch as an exact motion, with its tangent and its stability."""
+    """An exact periodic motion, with its stability."""
 
-    parameter: Float[Array, ""]
     events: Events
     orbit: Orbit
     residual: Float[Array, ""]
-    tangent: Float[Array, " states_and_parameter"]
-    """Direction of the branch in the state at the section and the parameter; its sign is free."""
     monodromy: Float[Array, "states states"]
     """Jacobian of the period map at the section, in units of energy."""
     multipliers: Complex[Array, " states"]
@@ -46,28 +38,12 @@ class Guess(NamedTuple):
     """Whether there was room for all events."""
 
 
-def exact_point(
-    tables_at,
-    guess: Guess,
-    parameter: Float[Array, ""],
-    period: int,
-    *,
-    hold: bool | Bool[Array, ""],
-    iterations: int = 4,
-) -> tuple[ExactPoint, PiecewiseMotion]:
-    """Turn a guess into an exact motion.
-
-    `hold` keeps the parameter; else the motion moves across the branch, so that folds are no
-    obstacle.
-    """
+def exact_point(tables: Tables, guess: Guess, period: int) -> tuple[ExactPoint, PiecewiseMotion]:
+    """Turn a guess into an exact motion."""
     events = guess.events
-    solved = solve_orbit(
-        tables_at, events, guess.orbit, parameter, period, hold=hold, iterations=iterations
-    )
-    tables = tables_at(solved.parameter)
+    solved = solve_orbit(tables, events, guess.orbit, period, ITERATIONS)
     motion = solved.motion
     reading = read_motion(tables, events, motion, period)
-    n = solved.orbit.state.size
     moved = (solved.orbit.state - guess.orbit.state) * tables.phases.weight
     extent = jnp.linalg.norm(guess.orbit.state * tables.phases.weight)
     whole = jnp.all(jnp.isfinite(solved.jacobian)) & jnp.isfinite(solved.residual)
@@ -80,11 +56,9 @@ def exact_point(
     )
     matrix = jnp.where(jnp.isfinite(solved.jacobian), solved.jacobian, 0.0)
     return ExactPoint(
-        parameter=solved.parameter,
         events=events,
         orbit=solved.orbit,
         residual=solved.residual,
-        tangent=null_vector(matrix - jnp.eye(n), solved.slope),
         monodromy=matrix,
         multipliers=jnp.linalg.eigvals(matrix),
         reading=reading,

@@ -125,15 +125,18 @@ def _warn_of_guess(found: PeriodicResponse) -> None:
 def _read_exactly(numbers, found: "_Solution", is_ratio, period, state) -> PeriodicResponse:
     system, value = numbers
     path = frequency_path(system, is_ratio, True)
-    # One Newton step from the solution, in which only the numbers of the system are
-    # differentiated, has the value of the solution and its implicit derivative.
     tables = path.tables(value)
-    start = found.orbit.state
-    motion = follow_events(tables, found.events, found.orbit, period)
-    gap = jnp.where(found.valid, motion.end - start, 0.0)
-    start = start + jnp.linalg.solve(jnp.eye(start.size) - found.matrix, gap)
-    orbit = Orbit(start, found.orbit.times)
-    motion = follow_events(tables, found.events, orbit, period)
+    still = jnp.eye(found.orbit.state.size) - found.matrix
+
+    def newton(start, _):
+        motion = follow_events(tables, found.events, Orbit(start, found.orbit.times), period)
+        gap = jnp.where(found.valid, motion.end - start, 0.0)
+        return start + jnp.linalg.solve(still, gap), motion
+
+    # One step from the solution, in which only the numbers of the system are differentiated, has
+    # the value of the solution and its implicit derivative: of two motions the second is wanted.
+    _, motions = lax.scan(newton, found.orbit.state, length=2)
+    motion = jax.tree.map(lambda a: a[-1], motions)
     reading = read_motion(tables, found.events, motion, period)
     phases = 2 * np.pi * jnp.arange(period)
     strobes = jax.vmap(lambda phase: state_at(tables, motion, phase, found.events.section, period))(
@@ -169,15 +172,15 @@ class _Solution(NamedTuple):
 def _solved_exactly(system, value, is_ratio, period: int, state) -> _Solution:
     """Find the motion and its sequence of contacts; no derivatives."""
     path = frequency_path(system, is_ratio, True)
-    assert path.phases is not None
-    weight = path.phases.weight
+    tables = path.tables(value)
+    weight = tables.phases.weight
     if not path.equations.stops:
         nothing = jnp.full(MOST_EVENTS, -1, jnp.int32)
         times = jnp.zeros(MOST_EVENTS) + 2 * np.pi * period
         events = Events(nothing, jnp.zeros((), jnp.int32), jnp.zeros(()))
         # One period from rest is all there is to know of a linear motion, damped or not.
         rest = Orbit(jnp.zeros_like(weight), times)
-        once = follow_events(path.tables(value), events, rest, period, with_jacobian=True)
+        once = follow_events(tables, events, rest, period, with_jacobian=True)
         assert once.jacobian is not None
         state = jnp.linalg.solve(jnp.eye(weight.size) - once.jacobian, once.end)
         first = Guess(events, Orbit(state, times), jnp.asarray(True))
@@ -194,7 +197,7 @@ def _solved_exactly(system, value, is_ratio, period: int, state) -> _Solution:
 
     def attempt(carry, _):
         guess, best = carry
-        point, motion = exact_point(path.tables, guess, value, period, hold=True, iterations=8)
+        point, motion = exact_point(tables, guess, period)
         matrix = point.monodromy * weight / weight[:, None]
         solution = _Solution(
             guess.events, point.orbit, matrix, point.multipliers, point.residual, point.valid
@@ -205,7 +208,7 @@ def _solved_exactly(system, value, is_ratio, period: int, state) -> _Solution:
         reading = point.reading
         again = find_crossings(reading.depth, reading.change, MOST_EVENTS, period)
         section = again.events.section
-        there = state_at(path.tables(value), motion, section, guess.events.section, period)
+        there = state_at(tables, motion, section, guess.events.section, period)
         following = Guess(again.events, Orbit(there, again.times), again.number <= MOST_EVENTS)
         return (following, best), None
 
