@@ -17,7 +17,7 @@ import pickle
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, overload
 
@@ -222,6 +222,8 @@ class Compiled(Generic[Given, Result]):
         self.function, self.lightly = function, lightly
         self.plain = eqx.filter_jit(function)
         self.programs: dict[Signature, Program] = {}
+        self.returned: dict[Signature, Any] = {}
+        """With `jax.ShapeDtypeStruct` in the place of arrays, where no program was needed."""
         functools.update_wrapper(self, function)
         _everything.add(self)
 
@@ -269,7 +271,29 @@ class Compiled(Generic[Given, Result]):
         shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays]
         if not is_alone(shapes):
             return eqx.filter_eval_shape(self.plain, *args, **kwargs)
-        return self._program(_signature(shapes, parts), parts, shapes).kinds(shapes)
+        signature = _signature(shapes, parts)
+        program = self.programs.get(signature)
+        if program is not None:
+            return program.kinds(shapes)
+        if signature not in self.returned:
+            self.returned[signature] = self._read_or_looked_at(signature, parts, shapes)
+        return self.returned[signature]
+
+    def _read_or_looked_at(self, signature: Signature, parts: Parts, shapes: list[Any]) -> Any:
+        """Take from disk what is returned, or trace the function; without making a program."""
+        path = self._path(signature, parts)
+        path = None if path is None else path.with_suffix(".kinds")
+        content = None if path is None else cache.read(path)
+        with suppress(Exception):  # a broken file is as good as none
+            return pickle.loads(content or b"")
+        args, kwargs = parts.filled(shapes)
+        with _tracing():
+            found, kind = _sorted_out(eqx.filter_eval_shape(self.function, *args, **kwargs))
+        kinds = kind.filled(_kinds(found))
+        if path is not None:
+            with suppress(Exception):  # something is returned that cannot be read elsewhere
+                cache.write(path, _described(kinds))
+        return kinds
 
     def ahead(self, *args: Any, **kwargs: Any) -> Any:
         """Compile in the background what will be called with such arguments; return the `kinds`."""
@@ -384,6 +408,7 @@ def forget() -> None:
     """Drop all programs from memory."""
     for function in _everything:
         function.programs.clear()
+        function.returned.clear()
 
 
 @functools.cache
