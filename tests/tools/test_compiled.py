@@ -8,8 +8,7 @@ import pytest
 
 from vibrojax._tools import cache, waiting
 from vibrojax._tools.compiled import _signature as signature_of
-from vibrojax._tools.compiled import _sorted_out as sorted_out
-from vibrojax._tools.compiled import compiled, is_alone
+from vibrojax._tools.compiled import compiled, is_alone, sorted_out
 from vibrojax.model.laws import KelvinVoigt
 from vibrojax.model.systems import as_arrays, equations_of
 

@@ -10,14 +10,12 @@ sources may change under the same name.
 """
 
 import functools
-import gc
 import hashlib
 import io
 import pickle
 import weakref
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, overload
 
@@ -28,16 +26,12 @@ import numpy as np
 from jax.core import Tracer
 
 from vibrojax._tools import cache
-from vibrojax._tools.interrupts import in_background
+from vibrojax._tools.programs import Parts, Program, has_shape, kinds_of, sorted_out, tracing
 from vibrojax._tools.waiting import telling
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
-QUICK: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
-"""Halves what XLA takes on a CPU."""
-LIGHT = {"xla_backend_optimization_level": 0}
-"""Takes a third off that; the program is slower by half."""
 KNOWN = {*cache.MADE_BY, "vibrojax", "jaxtyping", "ml_dtypes", "builtins", "copyreg", "enum"} | {
     *("collections", "functools", "operator", "_operator", "types")
 }
@@ -51,7 +45,6 @@ SETTINGS = (
     "threefry_partitionable",
 )
 """Of JAX, on which a traced program depends."""
-LINES = "jax_traceback_in_locations_limit"
 STEP_BY_STEP = ("disable_jit", "debug_nans", "debug_infs", "check_tracer_leaks")
 """Of JAX, which need the function itself."""
 ANY_CALLS = [
@@ -76,66 +69,6 @@ class Signature(NamedTuple):
     device: int
 
 
-class Parts(NamedTuple):
-    """What a program returns beside its arrays."""
-
-    structure: Any
-    held: tuple[Any, ...]
-    is_array: tuple[bool, ...]
-
-    def filled(self, arrays: Sequence[Any]) -> Any:
-        """Put arrays into their places."""
-        left = iter(arrays)
-        both = zip(self.held, self.is_array, strict=True)
-        return jax.tree.unflatten(self.structure, [next(left) if a else h for h, a in both])
-
-
-def _kinds(arrays: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
-    """Shapes and kinds of arrays; one that was made of a Python number is like any other."""
-    canonical = jax.dtypes.canonicalize_dtype
-    return [jax.ShapeDtypeStruct(a.shape, canonical(a.dtype)) for a in arrays]
-
-
-class Program:
-    """A function traced for one signature; compiled when it is needed first."""
-
-    def __init__(self, traced: Callable[..., Any], returned: list[Parts], lightly: bool):
-        options = _options() | (LIGHT if lightly else {})
-        self.traced: Any = jax.jit(traced, compiler_options=options)
-        self.returned = returned
-        """Of one; empty before the function was traced."""
-        self.shapes: list[jax.ShapeDtypeStruct] | None = None
-        """Of the arrays it returns; None before they were asked for, or it was compiled."""
-        self.waiting: Future[Any] | None = None
-        self.call: Callable[..., Any] | None = None
-        """None before it was compiled."""
-
-    def kinds(self, arrays: Sequence[Any]) -> Any:
-        """What it returns, with `jax.ShapeDtypeStruct` in the place of arrays."""
-        if self.shapes is None:
-            self.shapes = _kinds(jax.eval_shape(self.traced, *_kinds(arrays)))
-        return self.returned[0].filled(self.shapes)
-
-    def compile(self, arrays: Sequence[Any]) -> None:
-        """Compile it, or wait until that is done."""
-        if self.waiting is None:
-            self.call = self._lowered(arrays).compile()
-        else:
-            self.call = self.waiting.result()
-        self.traced = self.waiting = None  # which hold a lot of memory
-
-    def compile_ahead(self, arrays: Sequence[Any]) -> None:
-        """Compile it in the background, unless that is done already."""
-        if self.call is None and self.waiting is None:
-            self.waiting = in_background(self._lowered(arrays).compile)
-
-    def _lowered(self, arrays: Sequence[Any]) -> Any:
-        with _tracing():
-            lowered = self.traced.lower(*_kinds(arrays))
-        self.shapes = _kinds(lowered.out_info)
-        return lowered
-
-
 def _is_known(named: Any) -> bool:
     return (getattr(named, "__module__", None) or "builtins").partition(".")[0] in KNOWN
 
@@ -158,21 +91,9 @@ def _described(thing: Any) -> bytes:
     return buffer.getvalue()
 
 
-def _has_shape(leaf: Any) -> bool:
-    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
-
-
-def _sorted_out(thing: Any) -> tuple[list[Any], Parts]:
-    leaves, structure = jax.tree.flatten(thing)
-    is_array = tuple(map(_has_shape, leaves))
-    both = list(zip(leaves, is_array, strict=True))
-    held = tuple(None if a else leaf for leaf, a in both)
-    return [leaf for leaf, a in both if a], Parts(structure, held, is_array)
-
-
 def is_alone(tree: Any) -> bool:
     """Whether a call with these arrays is a program, not a part of a transformation or a check."""
-    arrays = [a for a in jax.tree.leaves(tree) if _has_shape(a)]
+    arrays = [a for a in jax.tree.leaves(tree) if has_shape(a)]
     # Inside of jit, and of loops and the like, every new array is traced.
     if any(isinstance(a, Tracer) for a in (*arrays, jnp.zeros(()))):
         return False
@@ -231,7 +152,7 @@ class Compiled(Generic[Given, Result]):
         return self.function.__qualname__  # by its name
 
     def __call__(self, *args: Given.args, **kwargs: Given.kwargs) -> Result:
-        arrays, parts = _sorted_out((args, kwargs))
+        arrays, parts = sorted_out((args, kwargs))
         if not is_alone(arrays):
             return self.plain(*args, **kwargs)
         signature = _signature(arrays, parts)
@@ -248,7 +169,7 @@ class Compiled(Generic[Given, Result]):
 
         For what is called many times: nothing is looked at again but the arrays, as they come.
         """
-        arrays, parts = _sorted_out((args, {}))
+        arrays, parts = sorted_out((args, {}))
         if not is_alone(arrays):
             plain: Any = self.plain
             return lambda *arrays: plain(*parts.filled(arrays)[0])
@@ -267,7 +188,7 @@ class Compiled(Generic[Given, Result]):
         Arrays may be given as such too, and be traced: only their shapes are looked at. Nothing is
         compiled.
         """
-        arrays, parts = _sorted_out((args, kwargs))
+        arrays, parts = sorted_out((args, kwargs))
         shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arrays]
         if not is_alone(shapes):
             return eqx.filter_eval_shape(self.plain, *args, **kwargs)
@@ -287,9 +208,9 @@ class Compiled(Generic[Given, Result]):
         with suppress(Exception):  # a broken file is as good as none
             return pickle.loads(content or b"")
         args, kwargs = parts.filled(shapes)
-        with _tracing():
-            found, kind = _sorted_out(eqx.filter_eval_shape(self.function, *args, **kwargs))
-        kinds = kind.filled(_kinds(found))
+        with tracing():
+            found, kind = sorted_out(eqx.filter_eval_shape(self.function, *args, **kwargs))
+        kinds = kind.filled(kinds_of(found))
         if path is not None:
             with suppress(Exception):  # something is returned that cannot be read elsewhere
                 cache.write(path, _described(kinds))
@@ -297,7 +218,7 @@ class Compiled(Generic[Given, Result]):
 
     def ahead(self, *args: Any, **kwargs: Any) -> Any:
         """Compile in the background what will be called with such arguments; return the `kinds`."""
-        arrays, parts = _sorted_out((args, kwargs))
+        arrays, parts = sorted_out((args, kwargs))
         if not is_alone(arrays):
             return eqx.filter_eval_shape(self.plain, *args, **kwargs)
         program = self._program(_signature(arrays, parts), parts, arrays)
@@ -308,7 +229,7 @@ class Compiled(Generic[Given, Result]):
         """Take the program from memory or disk, or trace it and put it there."""
         known = self.programs.get(signature)
         if known is None:
-            with _tracing():
+            with tracing():
                 known = self.programs[signature] = self._read_or_traced(signature, parts, arrays)
         return known
 
@@ -323,7 +244,7 @@ class Compiled(Generic[Given, Result]):
 
         def flat(*arrays: Any) -> tuple[Any, ...]:
             args, kwargs = parts.filled(arrays)
-            found, kind = _sorted_out(function(*args, **kwargs))
+            found, kind = sorted_out(function(*args, **kwargs))
             returned[:] = [kind]
             return tuple(found)
 
@@ -358,29 +279,9 @@ class Compiled(Generic[Given, Result]):
         return folder / hashlib.sha256(known).hexdigest()[:32]
 
 
-@contextmanager
-def _tracing() -> Iterator[None]:
-    """Leave out what takes time and nobody looks at.
-
-    Garbage stays where it is: tracing makes hardly any, and much that is looked through for it. And
-    no operation is told which lines of Python it is from, which XLA copies from pass to pass.
-    """
-    collects, lines = gc.isenabled(), getattr(jax.config, LINES, 0)
-    gc.disable()
-    if lines:
-        jax.config.update(LINES, 0)
-    try:
-        yield
-    finally:  # by the thread that found them on, if several trace
-        if collects:
-            gc.enable()
-        if lines:
-            jax.config.update(LINES, lines)
-
-
 def _exported(flat: Callable[..., Any], arrays: Sequence[Any]) -> jax.export.Exported | None:
     try:
-        return jax.export.export(jax.jit(flat), disabled_checks=ANY_CALLS)(*_kinds(arrays))
+        return jax.export.export(jax.jit(flat), disabled_checks=ANY_CALLS)(*kinds_of(arrays))
     except Exception:  # what is wrong is said when it is called
         return None
 
@@ -399,7 +300,7 @@ def _read(path: Path) -> tuple[jax.export.Exported, Parts] | None:
         return None
     try:
         program, like = pickle.loads(content)
-        return jax.export.deserialize(bytearray(program)), _sorted_out(pickle.loads(like))[1]
+        return jax.export.deserialize(bytearray(program)), sorted_out(pickle.loads(like))[1]
     except Exception:  # a broken file is as good as none
         return None
 
@@ -409,16 +310,6 @@ def forget() -> None:
     for function in _everything:
         function.programs.clear()
         function.returned.clear()
-
-
-@functools.cache
-def _options() -> dict[str, Any]:
-    """Options for XLA, where this one knows them."""
-    try:
-        jax.jit(jnp.negative, compiler_options=QUICK)(0.0)
-    except Exception:
-        return {}
-    return QUICK
 
 
 @overload
