@@ -31,6 +31,8 @@ SLOW = {
         "test_histories_go_on_from_where_another_ended",
     ),
     "test_exact_contact": (
+        "test_overdamped_stops_that_cannot_pull_cost_by_their_contacts",
+        "test_a_lane_that_blows_up_leaves_its_neighbours_alone",
         "test_mirrored_rig_moves_mirrored",
         "test_stops_on_either_side",
     ),
@@ -52,6 +54,7 @@ SLOW = {
         "test_a_damaged_store_is_repaired_by_the_same_call_which_says_what_was_wrong",
     ),
     "test_settling": (
+        "test_highest_point_of_the_upper_branch",
         "test_steady_states_are_those_of_a_long_march",
         "test_found_orbits_close_on_themselves",
         "test_cost_is_counted",
@@ -61,20 +64,26 @@ SLOW = {
         "test_response_curve_of_a_system_of_ones_own",
         "test_period_doubling_where_it_is_known",
     ),
-    "test_history_misfit": ("test_derivative_follows_the_shift",),
+    "test_history_misfit": (
+        "test_derivative_follows_the_shift",
+        "test_nonsense_lane_leaves_its_neighbour_alone",
+    ),
     "test_periodic_response": ("test_points_of_the_reference",),
     "test_resolution": ("test_a_motion_without_contact_has_no_change_of_its_force",),
     "test_map_store": ("test_a_lock_ends_with_its_process",),
     "test_simulate_lists": (
+        "test_new_numbers_do_not_compile_again",
         "test_every_lane_is_that_of_a_single_call",
         "test_initial_states_and_a_chirp",
         "test_sampling_rate",
     ),
     "test_identify": (
+        "test_a_curve_without_contact_is_refused",
         "test_repetitions_side_by_side_are_what_they_are_alone",
         "test_recovers_the_stiffness_and_bounds_the_damping",
     ),
     "test_splitting": (
+        "test_force_gradient_beats_the_plain_kick",
         "test_sweep_with_a_rounded_stop_agrees_with_exact_contact",
         "test_linear_response_is_exact_at_any_step",
     ),
@@ -99,9 +108,17 @@ SLOW = {
         "test_a_lane_that_is_lost_is_flagged_and_spares_the_others",
         "test_free_and_forced_oscillations_together_are_quasi_periodic",
     ),
-    "test_simulate": ("test_dataset_and_picture", "test_chirp_of_equal_ends_is_the_harmonic"),
+    "test_simulate": (
+        "test_dataset_and_picture",
+        "test_chirp_of_equal_ends_is_the_harmonic",
+        "test_chirp_matches_an_adaptive_solver",
+        "test_an_undamped_mode_turns_at_its_own_frequency",
+    ),
     "test_contacts": ("test_releases_agree_with_the_reference",),
-    "test_resonance": ("test_histories_at_resonance_match_an_adaptive_solver",),
+    "test_resonance": (
+        "test_histories_at_resonance_match_an_adaptive_solver",
+        "test_with_a_stop_the_motion_is_computed",
+    ),
     "test_condensed": ("test_condensed_solution_solves_the_linearised_balance",),
     "test_explore": (
         "test_the_live_curve_is_the_branch",
@@ -115,6 +132,14 @@ SLOW = {
     "test_compiling": tuple(
         f"test_nothing_compiles_again[{study}]"
         for study in (
+            "periodic_response",
+            "periodic_response_guessed",
+            "periodic_response_history",
+            "simulate_a_list",
+            "simulate_a_release",
+            "lyapunov_exponent",
+            "single_contact_response",
+            "frequency_sweep_refined",
             "periodic_response_balanced",
             "periodic_response_shot",
             "gradient_of_periodic_response",
@@ -153,6 +178,32 @@ SLOW = {
             "parameter_map_of_basins",
             "parameter_map_with_gradients",
         )
+    ),
+    "test_walks": (
+        "test_a_motion_that_touches_from_the_start",
+        "test_a_force_that_jumps_makes_a_corner",
+        "test_stiff_stops_are_where_sweeps_settle",
+        "test_a_walk_does_not_turn_round_at_a_touch",
+    ),
+    "test_following": (
+        "test_where_a_motion_doubles_its_period_the_sweep_does",
+        "test_means_are_exact",
+        "test_two_stops_are_followed_too",
+    ),
+    "test_jumps_at_folds": (
+        "test_lanes_do_not_depend_on_their_neighbours",
+        "test_none_is_found_that_lies_too_far_or_the_other_way",
+    ),
+    "test_gauge": (
+        "test_extremes_do_not_depend_on_how_finely_it_is_measured",
+        "test_a_march_with_measures_goes_the_same_way",
+        "test_measures_have_forward_derivatives",
+    ),
+    "test_rig_file": ("test_settings_go_into_a_sweep",),
+    "test_matrix_system": ("test_free_decay_with_a_dashpot_through_a_contact",),
+    "test_cache": (
+        "test_broken_files_are_as_good_as_none",
+        "test_a_cache_of_jax_that_the_user_has_set_is_left_alone",
     ),
 }
 """By file: tests of several seconds."""
