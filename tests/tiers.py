@@ -212,6 +212,10 @@ LONG = {
     "test_compiling": tuple(
         f"test_nothing_compiles_again[{study}]"
         for study in (
+            "branch_switch",
+            "periodic_response_guessed",
+            "periodic_response_balanced",
+            "continue_response_from_settled_marches",
             "continue_response_over_axes",
             "continue_response_balanced",
             "continue_response_from_a_motion",
@@ -264,6 +268,7 @@ LONG = {
     ),
     "test_linearly_implicit": ("test_gradients_of_a_window_nest_with_vmap",),
     "test_energy_flow": (
+        "test_rounded_corners_close_too",
         "test_other_laws_close_too[hunt_crossley]",
         "test_other_laws_close_too[rubber]",
         "test_laws_of_all_kinds_driven_by_a_chirp",
@@ -276,6 +281,7 @@ LONG = {
         for rig in ("P_MR1_mu0", "C_MR0.5_mu0.5_gap0.8", "C_MR1_mu0", "C_MR0.5_mu0")
     ),
     "test_resonance": (
+        "test_branches_pass_begin_and_end_at_resonance",
         "test_derivatives_at_resonance[reverse]",
         "test_derivative_of_a_periodic_response_at_resonance",
     ),
@@ -292,6 +298,8 @@ LONG = {
     "test_parameter_map": ("test_memory_bounds_the_chunks",),
     "test_frequency_sweep": ("test_no_stop",),
     "test_lyapunov": ("test_periodic_motion_has_the_exponent_of_its_leading_multiplier[0.9331]",),
+    "test_walks": ("test_touches_of_stiff_stops_where_the_curve_turns_sharply",),
+    "test_branch_references": ("test_folds_are_the_refined_jumps[C_fig7_MR1.5_mu0]",),
 }
 """By file: slow tests whose like CI runs on another case."""
 
