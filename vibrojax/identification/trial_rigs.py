@@ -105,11 +105,6 @@ def observe_points(paths, sensor, depth, frequency):
     return jax.vmap(one)(paths, depth, frequency)
 
 
-def gaps_of(path: FrequencyPath) -> list[Any]:
-    """Gaps of the stops."""
-    return [stop.gap for stop in path.equations.stops]
-
-
 @compiled
 def free_and_touching(paths, frequency):
     """Motions without contact, and whether they reach a stop."""

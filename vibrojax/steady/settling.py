@@ -7,7 +7,6 @@ orbit; only a stable orbit, close to where the march was, is accepted, so the ma
 which attractor it is. The rest marches on.
 """
 
-from functools import reduce
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax._tools.types import AnyArray
+from vibrojax.stepping.elementary import by_halves, total
 from vibrojax.stepping.stepper import AbstractMarch
 
 lax = jax.lax
@@ -44,9 +44,7 @@ class Search(NamedTuple):
 
 
 def _size(weighted: Float[Array, "..."], axis: int) -> Array:
-    # One fused loop over lanes, where a reduction is not vectorised.
-    parts = jnp.moveaxis(weighted, axis, 0) ** 2
-    return jnp.sqrt(reduce(jnp.add, list(parts)))
+    return jnp.sqrt(total(weighted**2, axis))
 
 
 def _return_errors(history, max_period):
@@ -55,7 +53,8 @@ def _return_errors(history, max_period):
     The returns of a converging motion shrink geometrically; their sum is what is left.
     """
     now, before_now, twice = history[0], history[1 : max_period + 1], history[2::2]
-    size = reduce(jnp.maximum, list(_size(history, 1)), jnp.finfo(now.dtype).tiny)
+    size = by_halves(jnp.maximum, _size(history, 1))
+    size = jnp.maximum(size, jnp.finfo(now.dtype).tiny)
     recent, before = _size(now - before_now, 1), _size(before_now - twice, 1)
     ratio = jnp.where(before > 0, recent / jnp.where(before > 0, before, 1.0), 0.0)
     left = jnp.where(ratio < 1, recent * ratio / jnp.where(ratio < 1, 1 - ratio, 1.0), jnp.inf)

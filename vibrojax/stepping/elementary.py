@@ -1,6 +1,7 @@
 """Small numerical pieces shared by the steppers."""
 
 from collections.abc import Callable
+from functools import reduce
 from typing import TypeVar
 
 import jax
@@ -52,19 +53,27 @@ def apply_matrix(
     return total(matrix * vector, axis=1)
 
 
-def total(terms: Array, axis: int) -> Array:
-    """Sum along an axis by halves, which XLA fuses and vectorises; a reduction it does not."""
+def by_halves(join: Callable[[T, T], T], terms: T, axis: int = 0) -> T:
+    """Join what lies along an axis of arrays, halves at a time.
 
-    def part(terms: Array, first: int, last: int) -> Array:
-        return jax.lax.slice_in_dim(terms, first, last, axis=axis)
+    XLA fuses and vectorises that, which it does not do with a reduction.
+    """
+
+    def part(terms: T, first: int, last: int) -> T:
+        return jax.tree.map(lambda a: jax.lax.slice_in_dim(a, first, last, axis=axis), terms)
 
     odd = []
-    while (count := terms.shape[axis]) > 1:
+    while (count := jax.tree.leaves(terms)[0].shape[axis]) > 1:
         half = count // 2
         if count % 2:
             odd.append(part(terms, count - 1, count))
-        terms = part(terms, 0, half) + part(terms, half, 2 * half)
-    return jnp.squeeze(sum(odd, terms), axis)
+        terms = join(part(terms, 0, half), part(terms, half, 2 * half))
+    return jax.tree.map(lambda a: jnp.squeeze(a, axis), reduce(join, odd, terms))
+
+
+def total(terms: Array, axis: int = 0) -> Array:
+    """Sum along an axis."""
+    return by_halves(jnp.add, terms, axis)
 
 
 def pick(index: Int[Array, "*#lanes"], table: Array) -> Array:

@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.stepping.cubic import quintic_maximum
-from vibrojax.stepping.elementary import computed_once, pick, where_needed
+from vibrojax.stepping.elementary import by_halves, computed_once, pick, total, where_needed
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.signals import Turning, measured_signals, with_derivatives, with_wave
@@ -171,7 +172,7 @@ class Gauge:
             jnp.zeros(kinds),
             jnp.zeros(kinds, jnp.int32),
         )
-        most = jnp.max(reduce(jnp.add, list(passed.groups)))
+        most = jnp.max(total(passed.groups))
         *_, tops, measures = lax.fori_loop(0, most, some, (none, none, begin, tops, measures))
         *force, high, low = self.heights(passed, tops, wave_at)
         force = reduce(jnp.maximum, force, jnp.zeros_like(high))
@@ -218,7 +219,7 @@ class Gauge:
 
         # Of two real eigenvalues that make a pair the fast one may long have died out.
         bends = where_needed(jnp.any(self.turning.rate == 0), apart, bends)
-        whole, sixth = (reduce(jnp.add, list(a)) for a in (amplitude, bends))
+        whole, sixth = total(amplitude), total(bends)
         bent = jnp.where(whole > 0, sixth / jnp.where(whole > 0, whole, 1.0), 0.0)
         # What a stop that is not touched would push with does not count.
         bent = reduce(jnp.maximum, list(jnp.where(touching, bent[:-2], 0.0)), bent[-1])
@@ -249,15 +250,15 @@ class Gauge:
         def integral(partner: Array, derivatives: list[Array]) -> Array:
             """Of response times partner: the trapezoidal rule, corrected by Euler and Maclaurin."""
             f = value[:, RESPONSE] * partner
-            total = h * reduce(jnp.add, list(f[1:-1]), (f[0] + f[-1]) / 2)
+            area = h * (total(f[1:-1]) + (f[0] + f[-1]) / 2)
             for order, weight in EULER_MACLAURIN.items():
                 both = [
                     math.comb(order, k) * response[k] * derivatives[order - k]
                     for k in range(order + 1)
                 ]
                 start, end = reduce(jnp.add, both)
-                total = total + weight * h ** (order + 1) * (end - start)
-            return total
+                area = area + weight * h ** (order + 1) * (end - start)
+            return area
 
         integrals = (
             integral(value[:, RESPONSE], response),
@@ -282,9 +283,10 @@ def _highest(ends: tuple[Array, ...]) -> _Tops:
     """Highest places on some cells, from values and derivatives per cell at their ends."""
     start, end = (tuple(a[which] for a in ends) for which in (slice(None, -1), slice(1, None)))
     inside, place, value = quintic_maximum(start, end)
-    cells = [_Tops(value[i], inside[i], i + place[i], inside[i] * 0) for i in range(len(value))]
+    first = np.arange(len(value)).reshape((-1,) + (1,) * (value.ndim - 1))
+    cells = _Tops(value, inside, place + first, inside * 0)
 
     def higher(one: _Tops, other: _Tops) -> _Tops:
         return jax.tree.map(lambda a, b: jnp.where(other.value > one.value, b, a), one, other)
 
-    return reduce(higher, cells)
+    return by_halves(higher, cells)

@@ -93,4 +93,4 @@ def product(
     rows: Float[Array, "2 blocks *#shape"], blocks: Float[Array, "2 blocks *#shape"]
 ) -> Float[Array, "*shape"]:
     """Sum over blocks and their two rows: one fused loop, where a reduction is not vectorised."""
-    return total(total(rows * blocks, axis=1), axis=0)
+    return total(total(rows * blocks, axis=1))
