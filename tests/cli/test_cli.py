@@ -2,13 +2,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import xarray
 
 import vibrojax as vj
 from vibrojax.cli import command as cli
-from vibrojax.cli import options
+from vibrojax.cli import files, options
 
 EXAMPLE = str(Path(__file__).parents[2] / "examples" / "uniform_beam.toml")
 
@@ -295,3 +296,12 @@ def test_as_a_process(folder):
     wrong = subprocess.run([*command, "--output", "u.txt"], capture_output=True, text=True)
     assert (wrong.returncode, wrong.stdout) == (2, "")
     assert wrong.stderr == "vibrojax: --output must end in .nc, got 'u.txt'.\n"
+
+
+def test_compiling_side_by_side_is_counted_once(monkeypatch):
+    seconds = files.watch_compilation()
+    for now, duration in ((10.0, 2.0), (11.0, 2.0), (20.0, 1.0)):  # from 8, 9 and 19 on
+        monkeypatch.setattr(files.time, "perf_counter", lambda now=now: now)
+        jax.monitoring.record_event_duration_secs("x/backend_compile_duration", duration)
+    monkeypatch.undo()
+    assert seconds() == pytest.approx(4.0)

@@ -1,14 +1,18 @@
 """Functions that are compiled as a whole: what tells their programs apart, and where they run."""
 
+import functools
+import gc
+import threading
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax._tools import cache, waiting
+from vibrojax._tools import cache, interrupts, waiting
 from vibrojax._tools.compiled import _signature as signature_of
-from vibrojax._tools.compiled import compiled, is_alone, sorted_out
+from vibrojax._tools.compiled import compiled, forget, is_alone, sorted_out
 from vibrojax.model.laws import KelvinVoigt
 from vibrojax.model.systems import as_arrays, equations_of
 
@@ -102,6 +106,47 @@ def test_what_is_compiled_ahead_is_what_is_called(rig):
         lambda a: (a.shape, a.dtype), found
     )
     assert equations_of.kinds(systems).angular_frequency == kinds.angular_frequency
+
+
+def test_what_is_returned_is_known_without_a_program(rig, monkeypatch):
+    """Of a traced system too, and in another process from disk."""
+    systems = as_arrays(rig(num_modes=3))
+    forget()
+    shape = equations_of.kinds(systems).angular_frequency.shape
+    assert shape == (3,)
+    assert not equations_of.programs
+
+    def value(taper):
+        kinds = equations_of.kinds(eqx.tree_at(lambda s: s.beam.taper, systems, taper))
+        return taper * kinds.angular_frequency.size
+
+    @functools.wraps(equations_of.function)
+    def fail(*args):
+        raise AssertionError("It is traced again.")
+
+    forget()  # as another process
+    monkeypatch.setattr(equations_of, "function", fail)
+    assert jax.grad(value)(jnp.asarray(0.5)) == 3.0
+
+
+def test_tracing_leaves_python_as_it_was():
+    seen = []
+
+    def look(x):
+        seen.append((gc.isenabled(), jax.config.jax_traceback_in_locations_limit))
+        return x + 1
+
+    before = gc.isenabled(), jax.config.jax_traceback_in_locations_limit
+    compiled(look)(np.zeros(7))
+    assert seen[0] == (False, 0)
+    assert (gc.isenabled(), jax.config.jax_traceback_in_locations_limit) == before
+
+
+def test_programs_are_compiled_side_by_side(monkeypatch):
+    monkeypatch.setattr(interrupts, "_cores", threading.Semaphore(2))
+    meet = threading.Barrier(2, timeout=30)  # which one after the other would never pass
+    both = [interrupts.in_background(meet.wait) for _ in range(2)]
+    assert sorted(future.result() for future in both) == [0, 1]
 
 
 def test_what_a_function_raises_is_raised():
