@@ -133,7 +133,6 @@ SLOW = {
         f"test_nothing_compiles_again[{study}]"
         for study in (
             "periodic_response",
-            "periodic_response_guessed",
             "periodic_response_history",
             "simulate_a_list",
             "simulate_a_release",

@@ -205,8 +205,9 @@ class Compiled(Generic[Given, Result]):
         path = self._path(signature, parts)
         path = None if path is None else path.with_suffix(".kinds")
         content = None if path is None else cache.read(path)
-        with suppress(Exception):  # a broken file is as good as none
-            return pickle.loads(content or b"")
+        if content is not None:
+            with suppress(Exception):  # a broken file is as good as none
+                return pickle.loads(content)
         args, kwargs = parts.filled(shapes)
         with tracing():
             found, kind = sorted_out(eqx.filter_eval_shape(self.function, *args, **kwargs))

@@ -34,7 +34,8 @@ def run_sweep(options: Sweep) -> int:
     names = ("direction", "tolerance", "steps_per_period")
     settings = changed(asked.get("settings", SweepSettings()), options, names, {})
     compiling = watch_compilation()
-    import_ahead()
+    if data or drawing:
+        import_ahead()
     progress = False if options.quiet else None
     response = stoppable(
         frequency_sweep, system, progress=progress, settings=settings, **frequencies

@@ -21,6 +21,9 @@ from vibrojax.stepping.phase_motion import driven_blocks, free_blocks, stop_push
 
 lax = jax.lax
 
+ITERATIONS = 8
+"""Newton's steps to an orbit."""
+
 Phase = Int[ArrayLike, ""]
 Angle = Float[ArrayLike, ""]
 
@@ -258,9 +261,7 @@ class Solved(NamedTuple):
     motion: PiecewiseMotion
 
 
-def solve_orbit(
-    tables: Tables, events: Events, orbit: Orbit, period: int, iterations: int = 4
-) -> Solved:
+def solve_orbit(tables: Tables, events: Events, orbit: Orbit, period: int) -> Solved:
     """Newton's method on the state at the section, the event times following."""
     n, count, weight = orbit.state.size, events.number, tables.phases.weight
     guess = weight * orbit.state
@@ -299,6 +300,6 @@ def solve_orbit(
         jacobian=None,
     )
     carry = guess / size, orbit.times, (jnp.asarray(jnp.inf), jnp.zeros((n, n)), nothing)
-    rounds = jnp.arange(iterations + 1) == iterations
+    rounds = jnp.arange(ITERATIONS + 1) == ITERATIONS
     (x, times, (error, matrix, motion)), _ = lax.scan(newton, carry, rounds)
     return Solved(Orbit(x * size / weight, times), error, matrix, motion)

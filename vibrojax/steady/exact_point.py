@@ -13,13 +13,11 @@ ACCURATE = 1e-9
 """Largest relative residual of an exact motion."""
 NEAR = 0.3
 """Farthest that a motion may lie from its guess, over its size: beyond, it is another one."""
-ITERATIONS = 8
 
 
 class ExactPoint(NamedTuple):
     """An exact periodic motion, with its stability."""
 
-    events: Events
     orbit: Orbit
     residual: Float[Array, ""]
     monodromy: Float[Array, "states states"]
@@ -41,7 +39,7 @@ class Guess(NamedTuple):
 def exact_point(tables: Tables, guess: Guess, period: int) -> tuple[ExactPoint, PiecewiseMotion]:
     """Turn a guess into an exact motion."""
     events = guess.events
-    solved = solve_orbit(tables, events, guess.orbit, period, ITERATIONS)
+    solved = solve_orbit(tables, events, guess.orbit, period)
     motion = solved.motion
     reading = read_motion(tables, events, motion, period)
     moved = (solved.orbit.state - guess.orbit.state) * tables.phases.weight
@@ -56,7 +54,6 @@ def exact_point(tables: Tables, guess: Guess, period: int) -> tuple[ExactPoint, 
     )
     matrix = jnp.where(jnp.isfinite(solved.jacobian), solved.jacobian, 0.0)
     return ExactPoint(
-        events=events,
         orbit=solved.orbit,
         residual=solved.residual,
         monodromy=matrix,
