@@ -193,6 +193,19 @@ def test_who_waits_is_told_once(watched, capsys):
     assert capsys.readouterr().err == "compiling, once: point slopes ...\n"
 
 
+def test_tracing_what_is_compiled_ahead_is_waiting_too(watched, capsys):
+    @compiled
+    def slow_to_trace(x):
+        waiting.time.sleep(0.3)
+        return x + 1
+
+    slow_to_trace.ahead(np.zeros(3))
+    assert capsys.readouterr().err.endswith("slow to trace ...\n")
+    waiting._told = False
+    slow_to_trace.ahead(np.zeros(3))  # there is nothing left to wait for
+    assert capsys.readouterr().err == ""
+
+
 def test_who_waits_again_later_is_told_again(watched, capsys, monkeypatch):
     monkeypatch.setattr(waiting, "PAUSE", 0.0)
     wait()

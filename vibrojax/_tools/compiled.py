@@ -222,8 +222,12 @@ class Compiled(Generic[Given, Result]):
         arrays, parts = sorted_out((args, kwargs))
         if not is_alone(arrays):
             return eqx.filter_eval_shape(self.plain, *args, **kwargs)
-        program = self._program(_signature(arrays, parts), parts, arrays)
-        program.compile_ahead(arrays)
+        signature = _signature(arrays, parts)
+        program = self.programs.get(signature)
+        if program is None or program.is_new:
+            with telling(self.function.__qualname__):
+                program = self._program(signature, parts, arrays)
+                program.compile_ahead(arrays)
         return program.kinds(arrays)
 
     def _program(self, signature: Signature, parts: Parts, arrays: list[Any]) -> Program:

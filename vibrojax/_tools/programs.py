@@ -68,6 +68,11 @@ class Program:
         self.call: Callable[..., Any] | None = None
         """None before it was compiled."""
 
+    @property
+    def is_new(self) -> bool:
+        """Whether it is neither compiled nor about to be."""
+        return self.call is None and self.waiting is None
+
     def kinds(self, arrays: Sequence[Any]) -> Any:
         """What it returns, with `jax.ShapeDtypeStruct` in the place of arrays."""
         if self.shapes is None:
@@ -84,7 +89,7 @@ class Program:
 
     def compile_ahead(self, arrays: Sequence[Any]) -> None:
         """Compile it in the background, unless that is done already."""
-        if self.call is None and self.waiting is None:
+        if self.is_new:
             self.waiting = in_background(self._lowered(arrays).compile)
 
     def _lowered(self, arrays: Sequence[Any]) -> Any:
