@@ -52,6 +52,7 @@ from vibrojax.model.impacting_beam import ImpactingBeam as ImpactingBeam
 from vibrojax.model.laws import Hertz as Hertz
 from vibrojax.model.laws import HuntCrossley as HuntCrossley
 from vibrojax.model.laws import KelvinVoigt as KelvinVoigt
+from vibrojax.model.laws import MaxwellChain as MaxwellChain
 from vibrojax.model.laws import StandardLinearSolid as StandardLinearSolid
 from vibrojax.model.linearised_pendulum import LinearisedPendulum as LinearisedPendulum
 from vibrojax.model.matrix_system import MatrixSystem as MatrixSystem

@@ -10,6 +10,7 @@ from vibrojax.branches.continuation import Ending
 from vibrojax.branches.curve_search import ACCURATE, CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Steps, at_value, fits
 from vibrojax.branches.walking import FIRST, Walk
+from vibrojax.stepping.contact_phases import ContactPhases
 
 FREE = Contacts((), 0, 0.0)
 WIDER = 1.05
@@ -54,13 +55,11 @@ def motion_near(search: CurveSearch, state: Float[np.ndarray, " states"], value:
 
 
 def reach(
-    towards_stop: Float[np.ndarray, "stops modes"],
-    state: Float[np.ndarray, " states"],
-    angular_frequency: float,
+    phases: ContactPhases, lane: int, state: Float[np.ndarray, " states"], angular_frequency: float
 ) -> Float[np.ndarray, " stops"]:
-    """How far towards the stops, m, a harmonic motion gets that has a state (q, q')."""
-    position, speed = np.split(state, 2)
-    return np.hypot(towards_stop @ position, towards_stop @ speed / angular_frequency)
+    """How far towards the stops of a lane, m, a harmonic motion gets that has a state."""
+    speed = np.asarray(phases.speed_towards_stop[lane]) @ state
+    return np.hypot(np.asarray(phases.towards_stop[lane]) @ state, speed / angular_frequency)
 
 
 def opened(walk: Walk, free: OnCurve, beyond: float) -> Steps:

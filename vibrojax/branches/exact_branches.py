@@ -156,7 +156,7 @@ def _by_opening(
     for i, k in enumerate(left):
         walk, motion = walks[k], free[k][0]
         state, w = motion.state / walk.search.unit, local.place.angular_frequency[i]
-        beyond = float(np.max(reach(phases.towards_stop[i], state, w) - phases.gap[i]))
+        beyond = float(np.max(reach(phases, i, state, w) - phases.gap[i]))
         scale = 2.0 * max(beyond, 1e-12)
         along = walk.anew(replace(walk.search, scale=scale, asked=0), 0.0, 0.0)
         jobs[k] = _job(along, wider, i, opened(along, motion, beyond))

@@ -115,7 +115,7 @@ def _settled(
 
 def _at_stops(towards_stop: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Displacements at the stops of some states."""
-    return np.einsum("...sq,...q->...s", towards_stop, np.split(states, 2, axis=-1)[0])
+    return np.einsum("...sx,...x->...s", towards_stop, states)
 
 
 def _by_opening(
@@ -131,7 +131,7 @@ def _by_opening(
     assert phases is not None  # of linear stops
     for k, (motion, _) in enumerate(at.values()):
         state, w = motion.state / followed.unit, local.place.angular_frequency[k]
-        scale = 2 * float(reach(phases.towards_stop[k], state, w).max()) + 1e-12
+        scale = 2 * float(reach(phases, k, state, w).max()) + 1e-12
         search = replace(followed, scale=scale)
         start = replace(motion, parameter=0.0, parameter_along=0.0)
         for way in (1.0, -1.0):

@@ -14,6 +14,7 @@ from vibrojax._tools.types import AnyArray
 from vibrojax.history.exact_pieces import exact_pieces, over_pieces
 from vibrojax.history.finer_steps import Cells
 from vibrojax.model.equations import LinearEquations
+from vibrojax.model.stop_forces import memory_by_stop
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.stepping.cubic import cubic_between, cubic_maximum
@@ -62,10 +63,10 @@ def _measure_batch(
     length: Float[Array, " lanes"],
 ) -> dict[str, Array]:
     share, weights = nodes
-    motion, n = begin_phase(phases, phase, *lanes), phases.num_blocks
+    motion = begin_phase(phases, phase, *lanes)
     time = length[:, None] * share
     blocks = follow(phases, phase, motion, time)
-    v = jnp.tensordot(phases.to_state[phase][n:], blocks[0], axes=1)
+    q, v, memory = equations.split(jnp.tensordot(phases.to_state[phase], blocks[0], axes=1))
 
     def integral(values: Float[Array, "*rows lanes nodes"]) -> Float[Array, "*rows lanes"]:
         return length * (values @ weights)
@@ -75,6 +76,9 @@ def _measure_batch(
     deceleration = damping[:, None, None] * v
     if equations.damping_coupling is not None:
         deceleration = deceleration + jnp.tensordot(equations.damping_coupling, v, axes=1)
+    if equations.internal is not None:  # what they take counts as lost
+        pull = jnp.tensordot(equations.internal.acceleration, memory[: equations.internal_size], 1)
+        deceleration = deceleration - pull
     _, _, rate, amplitude = lanes
     angle = motion.angle[:, None] + rate[:, None] * time
     drive = amplitude.real[:, None] * jnp.sin(angle) + amplitude.imag[:, None] * jnp.cos(angle)
@@ -84,7 +88,16 @@ def _measure_batch(
     held = touching_bits(phases, phase)[:, None, None]
     k, c = held * phases.stiffness[:, None, None], held * phases.damping[:, None, None]
     force, slope = k * depth + c * depth_rate, k * depth_rate + c * acceleration
-    stored = k * depth**2 / 2
+    stored, loss = k * depth**2 / 2, integral(c * depth_rate**2)
+    kept = memory_by_stop(equations.stops, equations.memory_of_stops(memory))
+    for s, (stop, own) in enumerate(zip(equations.stops, kept, strict=True)):
+        if own is not None:  # the depth above is that below its surface
+            speed = jnp.tensordot(equations.stop_map[s], v, axes=1)
+            moved = jnp.tensordot(equations.stop_map[s], q, axes=1) - phases.gap[s]
+            depth, depth_rate = depth.at[s].set(moved), depth_rate.at[s].set(speed)
+            stored = stored.at[s].set(stop.stored_energy(moved, own))
+            given_back = stored[s, :, -1] - stored[s, :, 0]
+            loss = loss.at[s].set(integral(force[s] * speed) - given_back)
     cell = length[:, None] * jnp.diff(share)
 
     def top(
@@ -96,7 +109,7 @@ def _measure_batch(
     return {
         "beam_loss": integral(mass * v * deceleration),
         "input_work": integral(power),
-        "loss": integral(c * depth_rate**2),
+        "loss": loss,
         "impulse": integral(force),
         "highest": top(force, slope),
         "lowest": -top(-force, -slope),
@@ -143,11 +156,12 @@ def _extremes(
     begin: Float[Array, " lanes"],
     length: Float[Array, " lanes"],
 ) -> tuple[Float[Array, " lanes"], Float[Array, " lanes"]]:
-    motion, n = begin_phase(phases, phase, *lanes), phases.num_blocks
-    to_q, to_v = phases.to_state[phase][:n], phases.to_state[phase][n:]
+    motion, n = begin_phase(phases, phase, *lanes), len(shape)
+    to_state = phases.to_state[phase]
+    to_q, to_v = to_state[:n], to_state[n : 2 * n]
     held = touching_bits(phases, phase).astype(to_q.dtype)
-    k, c, towards = held * phases.stiffness, held * phases.damping, phases.towards_stop @ to_q
-    zero = jnp.zeros(2 * n)
+    k, c, towards = held * phases.stiffness, held * phases.damping, phases.towards_stop @ to_state
+    zero = jnp.zeros(len(to_state))
     # Rows that read the quantity off the blocks and off their rates.
     rows, rate_rows = {
         "displacement": (shape @ to_q, zero),

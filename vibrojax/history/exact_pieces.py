@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int, Shaped
 
 from vibrojax._tools.compiled import compiled
+from vibrojax.model.first_order import first_order
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.stepping.cubic import Cubic, cubic_between
@@ -73,22 +74,19 @@ def _begun(
     """Phase of contact of every sample (near zero depth the direction decides) and the drive."""
     phases, equations = motion.prepared, motion.equations.linear_between_contacts
     assert equations is not None  # checked before
-    n = phases.num_blocks
-    q, v = states[:n], states[n : 2 * n]
-    depth = phases.towards_stop @ q - phases.gap[:, None]
-    rate = phases.towards_stop @ v
+    form, lags = first_order(equations), [stop.memory_size > 0 for stop in equations.stops]
+    depth, rate = form.depth @ states - form.gap[:, None], form.rate @ states
 
-    def indicator(acceleration: OfStops) -> tuple[OfStops, OfStops]:
+    def indicator(rate: OfStops, acceleration: OfStops) -> tuple[OfStops, OfStops]:
         unit = equations.angular_frequency[0]
         return contact_indicator(depth, rate, *pushes_of(phases, unit, depth, rate, acceleration))
 
-    value, _ = indicator(jnp.zeros_like(depth))
-    force = phases.stiffness[:, None] * depth + phases.damping[:, None] * rate
-    free = jax.vmap(equations.linear_force, in_axes=1, out_axes=1)(q, v)
-    drive_input = motion.drive.input(motion.waveform, time)
-    acceleration = equations.input_map[:, None] * drive_input - free / equations.modal_mass[:, None]
-    acceleration = acceleration - phases.push_off @ jnp.where(value > 0, force, 0.0)
-    value, slope = indicator(phases.towards_stop @ acceleration)
+    value, _ = indicator(rate, jnp.zeros_like(depth))
+    force = form.stiffness[:, None] * depth + form.damping[:, None] * rate
+    change = form.flow @ states - form.push @ jnp.where(value > 0, force, 0.0)
+    change = change + form.input[:, None] * motion.drive.input(motion.waveform, time)
+    rate = jnp.where(np.reshape(lags, (-1, 1)), form.depth @ change, rate)
+    value, slope = indicator(rate, form.rate @ change)
     touching = jnp.where(jnp.abs(value) <= near, slope > 0, value > 0)
     bits = (1 << np.arange(phases.num_stops))[:, None]
     angle, _, _ = motion.waveform.phase(time)
@@ -227,8 +225,7 @@ def exact_pieces(
     assert equations is not None  # checked before
     duration = np.diff(time)
     places = places_for(phases, float(np.max(duration)))
-    q = states[:, : phases.num_blocks]
-    reach = np.max(np.abs(q) @ np.abs(np.asarray(phases.towards_stop)).T, initial=0.0)
+    reach = np.max(np.abs(states) @ np.abs(np.asarray(phases.towards_stop)).T, initial=0.0)
     near = jnp.asarray(NEAR * (reach + np.max(np.abs(np.asarray(phases.gap)), initial=0.0)))
     columns, moments, lengths = map(jnp.asarray, (states[:-1].T, time[:-1], duration))
     begun = map(np.asarray, _begun(motion, columns, moments, lengths, near))

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
-from vibrojax.model.equations import memory_by_stop, stop_forces
+from vibrojax.model.stop_forces import memory_by_stop, stop_forces
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.cubic import cubic_between
 from vibrojax.stepping.splitting import contact_of, driven_flow, kick, steady, steps_of
@@ -108,7 +108,7 @@ def _place(motion: Motion, state: Float[Array, " states"], time: Float[Array, ""
     stored = per_stop(lambda s, d, r, m: s.stored_energy(d, m), depth, memory)
     changes = rate, equations.memory_rates(q, v, memory)
     value, slope = jax.jvp(exact, (depth, memory), changes)
-    lagging = jnp.asarray([s.has_memory for s in stops], bool)
+    lagging = jnp.asarray([s.memory_size > 0 for s in stops], bool)
     value, slope = jnp.where(lagging, value, depth), jnp.where(lagging, slope, rate)
     return _Place(depth, rate, force, stored, value, slope)
 

@@ -10,15 +10,19 @@ from abc import abstractmethod
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.described import shown_value
+from vibrojax.model.internal_states import InternalStates
+from vibrojax.model.stop_forces import (
+    Memories,
+    contact_slope,
+    memory_rates,
+    stop_forces,
+)
 from vibrojax.model.stops import Stop
 
 Coordinates = Float[Array, " coordinates"]
-PerStop = Float[Array, "stops *lanes"]
-Memories = Float[Array, "memories *lanes"]
 OwnMemories = Float[Array, " memories"]
 PerCoordinate = Float[Array, "coordinates *lanes"]
 
@@ -54,8 +58,8 @@ class AbstractEquations(eqx.Module):
 
     @property
     def memory_size(self) -> int:
-        """How many stops have an internal state (`AbstractMemoryLaw`)."""
-        return sum(stop.has_memory for stop in self.stops)
+        """How many internal states there are: those of stops (`AbstractMemoryLaw`), and others."""
+        return sum(stop.memory_size for stop in self.stops)
 
     @property
     def state_size(self) -> int:
@@ -127,10 +131,17 @@ class AbstractEquations(eqx.Module):
         depth, depth_rate = jax.jvp(self.penetration, (q,), (rate,))
         return stop_forces(self.stops, depth, depth_rate, memory)
 
-    def memory_rates(self, q: Coordinates, rate: Coordinates, memory: OwnMemories) -> OwnMemories:
-        """Return how fast the memories of the stops change, per s.
+    def memory_rates(
+        self,
+        q: Coordinates,
+        rate: Coordinates,
+        memory: OwnMemories,
+        drive_input: Float[ArrayLike, ""] = 0.0,
+    ) -> OwnMemories:
+        """Return how fast the internal states change, per s.
 
-        `q` are the coordinates, `rate` their velocities q', `memory` the internal states.
+        `q` are the coordinates, `rate` their velocities q', `memory` the internal states,
+        `drive_input` is a(t) (m/s2 or N).
         """
         depth, depth_rate = jax.jvp(self.penetration, (q,), (rate,))
         return memory_rates(self.stops, depth, depth_rate, memory)
@@ -202,6 +213,10 @@ class LinearEquations(AbstractEquations):
     """-1 for a mode that falls away from rest, whose stiffness is -w_i^2, else 1; None: all 1."""
     gauge: AbstractGauge | None = None
     """What reads further observables off the coordinates."""
+    stiffness_coupling: Float[Array, "coordinates coordinates *lanes"] | None = None
+    """Stiffness over mass beyond w_i^2, 1/s2; None where coordinates are those of modes."""
+    internal: InternalStates | None = None
+    """States of first order of the structure; None where it has none."""
 
     @property
     def size(self) -> int:
@@ -222,9 +237,32 @@ class LinearEquations(AbstractEquations):
         """Return the diagonal of modal masses."""
         return jnp.diag(self.modal_mass)
 
+    @property
+    def is_modal(self) -> bool:
+        """Whether every coordinate is that of a mode which no other moves, contact apart."""
+        coupled = self.damping_coupling, self.stiffness_coupling, self.internal
+        return all(part is None for part in coupled)
+
+    @property
+    def internal_size(self) -> int:
+        """How many internal states the structure has; those of the stops come behind them."""
+        return 0 if self.internal is None else self.internal.size
+
+    @property
+    def memory_size(self) -> int:
+        """How many internal states there are: an even number, if need be with one that idles."""
+        count = self.internal_size + super().memory_size
+        return count + count % 2
+
     def linear_force(self, q: Coordinates, rate: Coordinates) -> Coordinates:
         """Return C q' + K q."""
-        return self.modal_mass * (self._damping(rate) + self.modal_stiffness * q)
+        return self.modal_mass * (self._damping(rate) + self._stiffness(q))
+
+    def _stiffness(self, q: Coordinates) -> Coordinates:
+        diagonal = self.modal_stiffness * q
+        if self.stiffness_coupling is None:
+            return diagonal
+        return diagonal + self.stiffness_coupling @ q
 
     @property
     def modal_stiffness(self) -> PerCoordinate:
@@ -237,16 +275,6 @@ class LinearEquations(AbstractEquations):
         if self.damping_coupling is None:
             return diagonal
         return diagonal + self.damping_coupling @ rate
-
-    @property
-    def flight_matrix(self) -> Float[Array, "states states"]:
-        """Matrix A of (q, q'/w_1)' = w_1 A (q, q'/w_1) without contact: states of like size."""
-        unit, eye = self.angular_frequency[0], jnp.eye(self.size)
-        damping = jnp.diag(2 * self.damping_ratio * (self.angular_frequency / unit))
-        if self.damping_coupling is not None:
-            damping = damping + self.damping_coupling / unit
-        stiffness = jnp.diag(self.modal_stiffness / unit**2)
-        return jnp.block([[0 * eye, eye], [-stiffness, -damping]])
 
     def smooth_force(self, q: Coordinates, rate: Coordinates) -> Coordinates:
         """Return zero: the body is linear."""
@@ -278,11 +306,48 @@ class LinearEquations(AbstractEquations):
         """
         root_mass = jnp.sqrt(self.modal_mass)
         rows = [root_mass * self.angular_frequency, root_mass]
+        if self.internal is not None:
+            rows.append(self.internal.weight)
         for stop in self.stops:
-            if stop.has_memory:
+            if stop.memory_size:
                 root = jnp.sqrt(jnp.maximum(contact_slope(stop), 0.0))
-                rows.append(jnp.broadcast_to(root, root_mass.shape[1:])[None])
-        return jnp.concatenate(rows)
+                shape = stop.memory_size, *root_mass.shape[1:]
+                rows.append(jnp.broadcast_to(root, shape))
+        rows = jnp.concatenate(rows)
+        idle = 2 * self.size + self.memory_size - len(rows)
+        return jnp.concatenate([rows, jnp.ones((idle, *rows.shape[1:]))]) if idle else rows
+
+    def contact_forces(
+        self, q: Coordinates, rate: Coordinates, memory: OwnMemories | None = None
+    ) -> Float[Array, " stops"]:
+        """Return the rounded force of each stop, N, positive when it pushes the body off."""
+        return super().contact_forces(q, rate, self.memory_of_stops(memory))
+
+    def memory_of_stops(self, memory: Memories | None) -> Memories | None:
+        """Return the internal states that are those of the stops."""
+        return None if memory is None else memory[self.internal_size :]
+
+    def memory_rates(
+        self,
+        q: Coordinates,
+        rate: Coordinates,
+        memory: OwnMemories,
+        drive_input: Float[ArrayLike, ""] = 0.0,
+    ) -> OwnMemories:
+        """Return how fast the internal states change, per s."""
+        stops = self.memory_of_stops(memory)
+        assert stops is not None
+        rates = super().memory_rates(q, rate, stops)
+        idle = self.memory_size - self.internal_size - super().memory_size
+        if idle:
+            rates = rates.at[-1].add(-self.angular_frequency[0] * stops[-1])
+        own = self.internal
+        if own is None:
+            return rates
+        flow = own.flow @ memory[: own.size] + own.from_input * drive_input
+        flow = flow + own.from_displacement @ q + own.from_velocity @ rate
+        flow = flow - own.from_force @ self.contact_forces(q, rate, memory)
+        return jnp.concatenate([flow, rates])
 
     def acceleration(
         self,
@@ -292,8 +357,9 @@ class LinearEquations(AbstractEquations):
         memory: OwnMemories | None = None,
     ) -> Coordinates:
         """Solve the equation of motion for q'', without forming the diagonal mass matrix."""
-        stiffness = self.modal_stiffness * q
-        free = self.input_map * drive_input - self._damping(rate) - stiffness
+        free = self.input_map * drive_input - self._damping(rate) - self._stiffness(q)
+        if self.internal is not None and memory is not None:
+            free = free + self.internal.acceleration @ memory[: self.internal.size]
         return free - self.force_map @ self.contact_forces(q, rate, memory)
 
     def __repr__(self) -> str:
@@ -302,56 +368,3 @@ class LinearEquations(AbstractEquations):
             f"LinearEquations(coordinates: {self.size}, stops: {len(self.stops)}, "
             f"angular_frequency={frequencies})"
         )
-
-
-def contact_slope(stop: Stop) -> Float[Array, "*lanes"]:
-    """Stiffness of a stop not touched before, N/m: at a tenth of its gap, beyond the rounding."""
-    depth = jnp.maximum(0.1 * jnp.abs(jnp.asarray(stop.gap)), 10 * jnp.asarray(stop.width))
-    depth = jnp.maximum(depth, 1e-9)
-    _, slope = jax.jvp(
-        lambda d: stop.force(d, jnp.zeros_like(d)), (depth,), (jnp.ones_like(depth),)
-    )
-    return slope
-
-
-def stop_forces(
-    stops: tuple[Stop, ...], depth: PerStop, rate: PerStop, memory: Memories | None = None
-) -> PerStop:
-    """Return the rounded force of each stop, N, from depths (m), their rates and memories."""
-    kept = memory_by_stop(stops, memory)
-    forces = [s.force(depth[i], rate[i], kept[i]) for i, s in enumerate(stops)]
-    return jnp.stack(forces) if forces else jnp.zeros_like(depth)
-
-
-def memory_rates(
-    stops: tuple[Stop, ...], depth: PerStop, rate: PerStop, memory: Memories
-) -> Memories:
-    """Return how fast the memories of the stops change, per s."""
-    kept = memory_by_stop(stops, memory)
-    rates = [
-        stop.memory_rate(depth[i], rate[i], held)
-        for i, (stop, held) in enumerate(zip(stops, kept, strict=True))
-        if held is not None
-    ]
-    return jnp.stack(rates) if rates else jnp.zeros_like(memory)
-
-
-def touching_stops(
-    stops: tuple[Stop, ...], depth: PerStop, force: PerStop
-) -> Bool[Array, "stops *lanes"]:
-    """Return which stops are touched, from depths (m) and forces (N).
-
-    The surface of a stop with memory may not be back yet where the body comes again.
-    """
-    lagging = np.array([stop.has_memory for stop in stops], bool)
-    return (depth > 0) & (~lagging.reshape((-1,) + (1,) * (depth.ndim - 1)) | (force > 0))
-
-
-def memory_by_stop(
-    stops: tuple[Stop, ...], memory: Memories | None
-) -> list[Float[Array, "*lanes"] | None]:
-    """Return the memory of every stop, None for those without."""
-    if memory is None:
-        return [None] * len(stops)
-    held = iter(range(memory.shape[0]))
-    return [memory[next(held)] if stop.has_memory else None for stop in stops]

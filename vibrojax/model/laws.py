@@ -5,6 +5,7 @@ the gap: the `Stop` decides when there is contact and rounds the corner of the f
 """
 
 from abc import abstractmethod
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -55,10 +56,16 @@ class AbstractLinearLaw(AbstractContactLaw):
 
 
 class AbstractMemoryLaw(AbstractContactLaw):
-    """A law with one internal state of its own, its `memory`, which is 0 in a stop at rest.
+    """A law with internal states of its own, its `memory`, which are 0 in a stop at rest.
 
-    The memory goes on changing while nothing touches the stop, whose penetration then is 0.
+    The memory goes on changing while nothing touches the stop, whose penetration then is 0. It is
+    one number, or with a `memory_size` above 1 an array with as many along its first axis.
     """
+
+    @property
+    def memory_size(self) -> int:
+        """How many internal states there are."""
+        return 1
 
     @abstractmethod
     def force_with_memory(self, penetration: Values, rate: Values, memory: Values) -> Values:
@@ -80,14 +87,45 @@ class AbstractMemoryLaw(AbstractContactLaw):
         return self.force_with_memory(penetration, rate, jnp.zeros_like(penetration))
 
 
+class LinearContact(NamedTuple):
+    """A law that is linear in contact, and relaxes linearly out of it.
+
+    The force is stiffness (d - surface) + damping d', where the surface of the stop, left alone, is
+    at the sum of shares times memories, and every memory z follows it: z' = (d - z)/time.
+    """
+
+    stiffness: ArrayLike
+    """Of a sudden compression, N/m."""
+    damping: ArrayLike
+    """N s/m."""
+    shares: tuple[ArrayLike, ...] = ()
+    times: tuple[ArrayLike, ...] = ()
+    """Relaxation times, s."""
+
+
+def is_linear(law: AbstractContactLaw) -> bool:
+    """Whether a law is linear in contact, and relaxes linearly out of it if it does."""
+    return isinstance(law, AbstractLinearLaw | AbstractRelaxingLaw)
+
+
+def linear_contact(law: AbstractContactLaw) -> LinearContact | None:
+    """Return the law as one that is linear in contact and out of it; None where it is not."""
+    if isinstance(law, AbstractLinearLaw):
+        return LinearContact(*law.linear_coefficients())
+    return law.linear_contact() if isinstance(law, AbstractRelaxingLaw) else None
+
+
 def linear_coefficients(law: AbstractContactLaw) -> tuple[ArrayLike, ArrayLike] | None:
     """Return (stiffness N/m, damping N s/m) of a law that is linear in contact, else None."""
     return law.linear_coefficients() if isinstance(law, AbstractLinearLaw) else None
 
 
 def can_pull(law: AbstractContactLaw) -> bool:
-    """Whether the force of a law that is linear in contact may become negative at separation."""
-    return isinstance(law, AbstractLinearLaw) and law.can_pull
+    """Whether a law that is linear in contact lets go where its depth is 0, whatever the force.
+
+    The depth of a stop that relaxes counts from its surface: there the force is 0.
+    """
+    return law.can_pull if isinstance(law, AbstractLinearLaw) else is_linear(law)
 
 
 def stored_energy(
@@ -213,8 +251,74 @@ class HuntCrossley(AbstractContactLaw):
         return self.stiffness * _power(penetration, self.exponent) * loss
 
 
+class AbstractRelaxingLaw(AbstractMemoryLaw):
+    """A spring in parallel with Maxwell elements, each a spring and a dashpot in series.
+
+    F = stiffness d + sum of k_j (d - z_j) with z_j' = (d - z_j)/time_j, z_j the stretch of a
+    dashpot. The stop does not stick: where the body leaves its surface the force is zero and the
+    surface creeps back.
+    """
+
+    stiffness: eqx.AbstractVar[Number]
+    """Stiffness of a slow compression, N/m."""
+
+    @property
+    @abstractmethod
+    def elements(self) -> tuple[tuple[Number, Number], ...]:
+        """Stiffness (N/m) and relaxation time (s) of every Maxwell element."""
+
+    @property
+    def memory_size(self) -> int:
+        """How many Maxwell elements there are."""
+        return len(self.elements)
+
+    def linear_contact(self) -> LinearContact:
+        """Return the law as one that is linear in contact and out of it."""
+        total = jnp.asarray(self.stiffness) + sum(k for k, _ in self.elements)
+        shares = tuple(
+            jnp.where(total > 0, k / jnp.where(total > 0, total, 1.0), 0.0)
+            for k, _ in self.elements
+        )
+        return LinearContact(total, 0.0, shares, tuple(time for _, time in self.elements))
+
+    def force_with_memory(self, penetration: Values, rate: Values, memory: Values) -> Values:
+        """Return stiffness d + sum of k_j (d - z_j), at least zero."""
+        force = self.stiffness * penetration
+        for (k, _), stretch in self._with(memory):
+            force = force + k * (penetration - stretch)
+        return jnp.maximum(force, 0.0)
+
+    def memory_rate(self, penetration: Values, rate: Values, memory: Values) -> Values:
+        """Return z', m/s."""
+        surface = self._surface(penetration, memory)
+        rates = [(surface - stretch) / time for (_, time), stretch in self._with(memory)]
+        return rates[0] if self.memory_size == 1 else jnp.stack(rates)
+
+    def stored_energy_with_memory(self, penetration: Values, memory: Values) -> Values:
+        """Return the energy of all springs, J."""
+        surface = self._surface(penetration, memory)
+        energy = self.stiffness * surface**2
+        for (k, _), stretch in self._with(memory):
+            energy = energy + k * (surface - stretch) ** 2
+        return energy / 2
+
+    def force(self, penetration: Values, rate: Values) -> Values:
+        """Return the force of a stop that was at rest before, N."""
+        return self.linear_contact().stiffness * penetration
+
+    def _with(self, memory: Values) -> list[tuple[tuple[Number, Number], Values]]:
+        stretches = [memory] if self.memory_size == 1 else list(memory)
+        return list(zip(self.elements, stretches, strict=True))
+
+    def _surface(self, penetration: Values, memory: Values) -> Values:
+        """How deep the surface of the stop is, m: with the body, or where no force holds it."""
+        shares = self.linear_contact().shares
+        free = sum(s * z for s, (_, z) in zip(shares, self._with(memory), strict=True))
+        return jnp.maximum(penetration, free)
+
+
 @validated
-class StandardLinearSolid(AbstractMemoryLaw):
+class StandardLinearSolid(AbstractRelaxingLaw):
     """Rubber: a spring in parallel with a Maxwell element (spring and dashpot in series).
 
     F = stiffness d + maxwell_stiffness (d - z) with z' = (d - z)/relaxation_time, z the stretch of
@@ -238,22 +342,45 @@ class StandardLinearSolid(AbstractMemoryLaw):
         check_not_negative("maxwell_stiffness", self.maxwell_stiffness, "N/m")
         check_positive("relaxation_time", self.relaxation_time, "s")
 
-    def force_with_memory(self, penetration: Values, rate: Values, memory: Values) -> Values:
-        """Return stiffness d + maxwell_stiffness (d - z), at least zero."""
-        force = self.stiffness * penetration + self.maxwell_stiffness * (penetration - memory)
-        return jnp.maximum(force, 0.0)
+    @property
+    def elements(self) -> tuple[tuple[Number, Number], ...]:
+        """Stiffness (N/m) and relaxation time (s) of the Maxwell element."""
+        return ((self.maxwell_stiffness, self.relaxation_time),)
 
-    def memory_rate(self, penetration: Values, rate: Values, memory: Values) -> Values:
-        """Return z', m/s."""
-        return (self._surface(penetration, memory) - memory) / self.relaxation_time
 
-    def stored_energy_with_memory(self, penetration: Values, memory: Values) -> Values:
-        """Return the energy of both springs, J."""
-        surface = self._surface(penetration, memory)
-        return (self.stiffness * surface**2 + self.maxwell_stiffness * (surface - memory) ** 2) / 2
+@validated
+class MaxwellChain(AbstractRelaxingLaw):
+    """A spring in parallel with several Maxwell elements: relaxation over decades of time.
 
-    def _surface(self, penetration: Values, memory: Values) -> Values:
-        """How deep the surface of the stop is, m: with the body, or where no force holds it."""
-        total = jnp.asarray(self.stiffness) + self.maxwell_stiffness
-        share = jnp.where(total > 0, self.maxwell_stiffness / jnp.where(total > 0, total, 1.0), 0.0)
-        return jnp.maximum(penetration, share * memory)
+    F = stiffness d + sum of k_j (d - z_j) with z_j' = (d - z_j)/time_j (generalised Maxwell model,
+    Prony series). One element makes it a `StandardLinearSolid`. Source: Findley, Lai and Onaran,
+    Creep and Relaxation (1976), sec. 5.6.
+
+    Raises `ValueError` for a negative stiffness, a relaxation time that is not above 0, no
+    elements, or as many stiffnesses as there are not times.
+    """
+
+    stiffness: Number = number_field("N/m")
+    """Stiffness of a slow compression, N/m."""
+    maxwell_stiffness: tuple[Number, ...] = eqx.field(converter=tuple, metadata={"units": "N/m"})
+    """What a sudden compression adds to it, N/m, by element."""
+    relaxation_time: tuple[Number, ...] = eqx.field(converter=tuple, metadata={"units": "s"})
+    """Time in which the force of an element falls to 1/e under constant penetration, s."""
+
+    def __check_init__(self) -> None:
+        """Refuse concrete values that are not a stop."""
+        stiffnesses, times = len(self.maxwell_stiffness), len(self.relaxation_time)
+        if stiffnesses != times or not times:
+            raise ValueError(
+                "maxwell_stiffness and relaxation_time must hold a number for each element, got "
+                f"{stiffnesses} and {times}."
+            )
+        check_not_negative("stiffness", self.stiffness, "N/m")
+        for k, time in self.elements:
+            check_not_negative("maxwell_stiffness", k, "N/m")
+            check_positive("relaxation_time", time, "s")
+
+    @property
+    def elements(self) -> tuple[tuple[Number, Number], ...]:
+        """Stiffness (N/m) and relaxation time (s) of every Maxwell element."""
+        return tuple(zip(self.maxwell_stiffness, self.relaxation_time, strict=True))

@@ -17,7 +17,7 @@ from vibrojax._tools.signatures import validated
 from vibrojax.model.laws import (
     AbstractContactLaw,
     AbstractMemoryLaw,
-    linear_coefficients,
+    is_linear,
     stored_energy,
 )
 
@@ -95,12 +95,12 @@ class Stop(eqx.Module):
         """Whether the stop is exactly linear in contact and free of force out of it."""
         width = concrete(self.smoothing)
         exact = self.smoothing is None or (width is not None and bool((width == 0).all()))
-        return exact and linear_coefficients(self.law) is not None
+        return exact and is_linear(self.law)
 
     @property
-    def has_memory(self) -> bool:
-        """Whether the law has an internal state of its own."""
-        return isinstance(self.law, AbstractMemoryLaw)
+    def memory_size(self) -> int:
+        """How many internal states of its own the law has."""
+        return self.law.memory_size if isinstance(self.law, AbstractMemoryLaw) else 0
 
     def force(self, penetration: Values, rate: Values, memory: Values | None = None) -> Values:
         """Return the rounded contact force, N, for any penetration (m) and its rate (m/s).

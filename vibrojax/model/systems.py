@@ -209,4 +209,6 @@ class Motion(eqx.Module):
         if not equations.memory_size:  # as equations of one's own may know of no memory
             return jnp.concatenate([rate, equations.acceleration(q, rate, drive_input)])
         acceleration = equations.acceleration(q, rate, drive_input, memory)
-        return jnp.concatenate([rate, acceleration, equations.memory_rates(q, rate, memory)])
+        return jnp.concatenate(
+            [rate, acceleration, equations.memory_rates(q, rate, memory, drive_input)]
+        )

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.compiled import compiled
+from vibrojax.model.first_order import first_order
 from vibrojax.steady.batches import in_batches
 from vibrojax.steady.condensed import (
     balance,
@@ -72,7 +73,7 @@ def read_balanced(place: Place, depth: Spectra, period: int) -> BalancedMotion:
     response = jnp.fft.irfft(problem.response_drive + push, samples)
     both = jnp.stack([fine / average, differentiate(fine / average, samples)])
     value, change = jnp.fft.irfft(both, samples)
-    forces = [s.force(value[a], change[a] * per_second) for a, s in enumerate(equations.stops)]
+    forces = [s.force(value[a], change[a] * per_second) for a, s in enumerate(problem.stops)]
     touching = value > 0
     angle = 2 * np.pi * period * np.arange(samples) / samples
     entered = touching & ~jnp.roll(touching, 1, axis=1)
@@ -109,20 +110,21 @@ def balanced_strobes(place: Place, depth: Spectra, period: int) -> Float[Array, 
 def kicked_monodromy(place: Place, at, interval):
     """Jacobian of the period map: exact flight over every sample, contact as a kick."""
     equations = place.equations
-    n, unit = equations.size, equations.angular_frequency[0]
-    flight = jax.scipy.linalg.expm(equations.flight_matrix * (unit * interval))
+    form, lags = first_order(equations), [stop.memory_size > 0 for stop in equations.stops]
+    scale = form.scale
+    flight = jax.scipy.linalg.expm(form.flow * scale / scale[:, None] * interval)
+    rates = jnp.where(np.reshape(lags, (-1, 1)), form.depth @ form.flow, form.rate)
     # The slope in the change of depth per sample is one in the rate, over the interval.
-    stiffness, rate = at.stiffness * interval / unit, at.damping * interval * interval
+    stiffness, rate = at.stiffness * interval, at.damping * interval * interval
 
     def step(matrix, slopes):
         k, c = slopes
         moved = flight @ matrix
-        depth = equations.stop_map @ moved[:n]
-        speed = equations.stop_map @ moved[n:]
-        kick = equations.force_map @ (k[:, None] * depth + c[:, None] * speed)
-        return moved.at[n:].add(-kick), None
+        depth, speed = (form.depth * scale) @ moved, (rates * scale) @ moved
+        kick = (form.push / scale[:, None]) @ (k[:, None] * depth + c[:, None] * speed)
+        return moved - kick, None
 
-    matrix, _ = jax.lax.scan(step, jnp.eye(2 * n), (stiffness.T, rate.T))
+    matrix, _ = jax.lax.scan(step, jnp.eye(len(scale)), (stiffness.T, rate.T))
     return matrix
 
 

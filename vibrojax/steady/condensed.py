@@ -20,6 +20,7 @@ from jaxtyping import Array, Complex, Float
 
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import LinearEquations
+from vibrojax.model.first_order import first_order, without_memory
 from vibrojax.model.laws import can_pull, linear_coefficients
 from vibrojax.model.stops import Stop
 from vibrojax.steady.methods import check_balance
@@ -49,23 +50,28 @@ def receptance(
     equations: LinearEquations, angular_frequency: Float[Array, " harmonics"]
 ) -> Receptance:
     """Receptances of the unstopped system, m/N or m per unit input, exact in the modes kept."""
-    rows = jnp.concatenate([equations.stop_map, equations.response_map[None]])
-    table = _transfer(equations, angular_frequency, rows)
+    table = _transfer(equations, angular_frequency, states=False)
     return Receptance(table[:-1, :-1], table[:-1, -1], table[-1, :-1], table[-1, -1])
 
 
-def _transfer(equations: LinearEquations, w: Float[Array, " harmonics"], rows):
-    """Displacements (rows of the coordinates) by contact force and, last, by the input."""
+def _transfer(equations: LinearEquations, w: Float[Array, " harmonics"], *, states: bool):
+    """What contact forces and, last, the input cause, at some angular frequencies.
+
+    Depths at the stops and, last, the response; or all `states`.
+    """
+    if not equations.is_modal or equations.memory_size:
+        poles, left, right = _flight_poles(equations, states)
+        dynamic = _damped(1j * w - poles[:, None], equations.angular_frequency[0])
+        return jnp.einsum("rp,pc,pk->rck", left, right, 1.0 / dynamic)
     columns = jnp.concatenate([-equations.force_map, equations.input_map[:, None]], axis=1)
-    if equations.damping_coupling is None:
-        natural, zeta = equations.angular_frequency, equations.damping_ratio
-        stiff = equations.modal_stiffness[:, None] - w**2
-        dynamic = stiff + 2j * (zeta * natural)[:, None] * w
-        compliance = 1.0 / _damped(dynamic, 1j * (natural**2)[:, None])
-        return jnp.einsum("ri,ic,ik->rck", rows, columns, compliance)
-    poles, left, right = _flight_poles(equations, rows, columns)
-    dynamic = _damped(1j * w - poles[:, None], equations.angular_frequency[0])
-    return jnp.einsum("rp,pc,pk->rck", left, right, 1.0 / dynamic)
+    natural, zeta = equations.angular_frequency, equations.damping_ratio
+    stiff = equations.modal_stiffness[:, None] - w**2
+    dynamic = stiff + 2j * (zeta * natural)[:, None] * w
+    compliance = 1.0 / _damped(dynamic, 1j * (natural**2)[:, None])
+    rows = jnp.concatenate([equations.stop_map, equations.response_map[None]])
+    rows = jnp.eye(equations.size) if states else rows
+    table = jnp.einsum("ri,ic,ik->rck", rows, columns, compliance)
+    return jnp.concatenate([table, 1j * w * table]) if states else table
 
 
 def _damped(dynamic, damping):
@@ -74,12 +80,15 @@ def _damped(dynamic, damping):
     return jnp.where(jnp.abs(dynamic) < jnp.abs(least), least, dynamic)
 
 
-def _flight_poles(equations: LinearEquations, rows, columns):
-    """Poles of the unstopped system with coupled damping, and the two factors of its residues."""
-    n, unit = equations.size, equations.angular_frequency[0]
-    values, vectors = eigen(equations.flight_matrix)
-    input_of = jnp.concatenate([jnp.zeros_like(columns), columns / unit]).astype(vectors.dtype)
-    return values * unit, rows @ vectors[:n], jnp.linalg.solve(vectors, input_of)
+def _flight_poles(equations: LinearEquations, states: bool):
+    """Poles of the unstopped system, and the two factors of its residues."""
+    form, unit = first_order(equations), equations.angular_frequency[0]
+    scale = form.scale
+    values, vectors = eigen(form.flow * scale / scale[:, None] / unit)
+    columns = jnp.concatenate([-form.push, form.input[:, None]], axis=1) / scale[:, None]
+    rows = jnp.concatenate([form.depth, form.response[None]]) * scale
+    rows = jnp.diag(scale) if states else rows
+    return values * unit, rows @ vectors, jnp.linalg.solve(vectors, columns.astype(vectors.dtype))
 
 
 class Problem(eqx.Module):
@@ -124,7 +133,7 @@ def condensed_problem(
     still = jnp.zeros(count).at[0].set(samples)
     averaged = table.stop_from_input * wave * cell_average(samples, count)
     return Problem(
-        stops=equations.stops,
+        stops=without_memory(equations.stops),
         receptance=table,
         drive=averaged - gaps[:, None] * still,
         response_drive=table.response_from_input * wave,
@@ -263,14 +272,14 @@ def state_of(
     samples: int,
     period: int = 1,
 ) -> Float[Array, " states"]:
-    """State (q, q') at a drive phase (rad) of the motion with this spectrum of averaged force."""
+    """State at a drive phase (rad) of the motion with this spectrum of averaged force."""
     count = samples // 2 + 1
     w = angular_frequency / period * jnp.arange(count)
-    table = _transfer(equations, w, jnp.eye(equations.size))
+    table = _transfer(equations, w, states=True)
     amplitude = drive.complex_amplitude(angular_frequency, jnp.zeros_like(angular_frequency))
     wave = jnp.zeros(count, complex).at[period].set(-1j * amplitude * samples / 2)
     inputs = jnp.concatenate([force / cell_average(samples, count), wave[None]])
     spectrum = jnp.einsum("rck,ck->rk", table, inputs)
     twice = jnp.full(count, 2.0).at[0].set(1.0).at[-1].set(0.0)
     turn = twice * jnp.exp(1j * angle / period * jnp.arange(count)) / samples
-    return jnp.concatenate([(spectrum * turn).real.sum(1), (1j * w * spectrum * turn).real.sum(1)])
+    return (spectrum * turn).real.sum(1)

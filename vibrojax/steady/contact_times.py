@@ -233,7 +233,7 @@ def _push(
     angle: Angle,
 ) -> Float[Array, "states states"]:
     """Carry the Jacobian through a phase and the change of contact at its end."""
-    phases, n = tables.phases, tables.phases.num_blocks
+    phases = tables.phases
     time = lax.stop_gradient(angle) / tables.angular_frequency
     decay, rate = phases.exponent[phase][..., None], phases.rate[phase][:, None]
     moved = free_blocks(decay, rate, phases.from_state[phase] @ matrix, time)
@@ -246,8 +246,8 @@ def _push(
     releases = jnp.asarray(phases.can_pull)[stop]
     sign = jnp.where(entering, -1.0, jnp.where(releases, 1.0, 0.0))
     jump = jnp.where(used, sign * phases.damping[stop], 0.0)
-    depth = phases.towards_stop[stop] @ matrix[:n]
-    return matrix.at[n:].add(jump * phases.push_off[:, stop, None] * depth[None])
+    depth = phases.towards_stop[stop] @ matrix
+    return matrix + jump * phases.push_off[:, stop, None] * depth[None]
 
 
 class Solved(NamedTuple):

@@ -74,7 +74,7 @@ class KnownContacts:
         damping = spread(phases.damping, 1, lanes) * jumps.reshape(*jumps.shape, *(1,) * lanes)
         after = spread(phases.from_state, 3, lanes)[every ^ (1 << stops)]
         push_off = jnp.moveaxis(spread(phases.push_off, 2, lanes), 1, 0)
-        kick = jnp.sum(after[:, :, :, loop.n :] * push_off[:, None], axis=3)
+        kick = jnp.sum(after * push_off[:, None], axis=3)
         self.kick = -damping[:, :, None] * kick
         """Phases, stops, states, lanes."""
 

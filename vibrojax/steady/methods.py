@@ -8,6 +8,7 @@ import equinox as eqx
 from vibrojax._tools.checks import check_count, check_range
 from vibrojax._tools.described import AbstractSettings
 from vibrojax._tools.signatures import validated
+from vibrojax.model.laws import is_linear
 from vibrojax.model.stops import Stop
 
 SAMPLES = ((1e-3, 128), (1e-4, 256), (1e-5, 512), (1e-6, 1024))
@@ -17,11 +18,11 @@ SAMPLES = ((1e-3, 128), (1e-4, 256), (1e-5, 512), (1e-6, 1024))
 def check_balance(stops: tuple[Stop, ...]) -> None:
     """Refuse, with a `ValueError`, a contact law that harmonic balance cannot take."""
     for stop in stops:
-        if stop.has_memory:
+        if stop.memory_size and not is_linear(stop.law):
             raise ValueError(
                 "Harmonic balance needs a contact force that is a function of depth and rate, but "
-                f"a {type(stop.law).__name__} has an internal state. Use frequency_sweep, or "
-                "periodic_response with method=Shooting()."
+                f"a {type(stop.law).__name__} has an internal state that is not linear. Use "
+                "frequency_sweep, or periodic_response with method=Shooting()."
             )
 
 

@@ -12,6 +12,7 @@ from vibrojax._tools.checks import check_one_number, is_traced
 from vibrojax._tools.compiled import compiled, is_alone
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
+from vibrojax.model.laws import is_linear
 from vibrojax.model.states import ABOUT_STATES, as_state
 from vibrojax.model.systems import AbstractSystem, as_arrays, check_is_system, equation_kinds
 from vibrojax.steady.balanced_motion import balanced_strobes, read_balanced, solve_balance
@@ -23,7 +24,7 @@ from vibrojax.steady.orbit_reading import find_crossings, read_motion, state_at
 from vibrojax.steady.paths import frequency_path
 from vibrojax.steady.periodic_result import PeriodicResponse, reading_of
 from vibrojax.steady.shooting import shoot
-from vibrojax.steady.starting import sampled_motion, settled_motion
+from vibrojax.steady.starting import SAMPLES, sampled_motion, settled_motion
 from vibrojax.stepping.choice import is_exact
 from vibrojax.stepping.measures import MOST_EVENTS
 
@@ -84,7 +85,8 @@ def periodic_response(
         raise ValueError("This system has no natural frequency: give frequency in Hz.")
     state = None if guess is None else as_state("guess", guess, equations)
     exact = linear is not None and is_exact(system)
-    shot = linear is None or bool(equations.memory_size)
+    remembers = any(s.memory_size and not is_linear(s.law) for s in equations.stops)
+    shot = linear is None or remembers
     if linear is not None and method is None:
         # About a position that the body falls away from there is no steady response to start from.
         shot = shot or linear.stiffness_sign is not None
@@ -233,7 +235,8 @@ def _by_balance(numbers, is_ratio, period, state, samples, harmonics, exact):
     start = frozen(state)
     if start is None:
         start = settled_motion(frozen(path), frozen(value), period, exact)
-    depth, _, _ = sampled_motion(frozen(path), frozen(value), start, period, exact)
+    count = max(SAMPLES, samples)
+    depth, _, _ = sampled_motion(frozen(path), frozen(value), start, period, exact, count)
     spectrum, converged = solve_balance(place, still, depth, samples, period, harmonics)
     reading = read_balanced(place, spectrum, period)
     # Next to an undamped resonance the samples do not determine the motion.

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 from vibrojax._tools.compiled import compiled
 from vibrojax.model.drives import AbstractDrive, Harmonic
-from vibrojax.model.equations import AbstractEquations, touching_stops
+from vibrojax.model.equations import AbstractEquations
+from vibrojax.model.stop_forces import touching_stops
 from vibrojax.model.systems import AbstractSystem, Motion, equation_kinds
 from vibrojax.steady.implicit import frozen, with_columns
 from vibrojax.steady.methods import Shooting

@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Complex, Float
 from vibrojax._tools.trigonometry import cosine_and_sine, sine
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import AbstractEquations, LinearEquations
-from vibrojax.model.laws import can_pull, linear_coefficients
+from vibrojax.model.laws import can_pull, is_linear
 from vibrojax.steady.contact_times import (
     Events,
     PiecewiseMotion,
@@ -74,8 +74,8 @@ class SingleContact(NamedTuple):
 def check_single_stop(equations: AbstractEquations) -> LinearEquations:
     """Return the equations if their motions with one contact have a closed form.
 
-    Raises `ValueError` unless they are linear with one `KelvinVoigt` stop that may pull
-    (tension=True) and is not smoothed.
+    Raises `ValueError` unless they are linear with one linear stop, a `KelvinVoigt` that may pull
+    (tension=True) or one that relaxes, and it is not smoothed.
     """
     linear, stops = equations.linear_between_contacts, equations.stops
     law = type(stops[0].law).__name__ if stops else ""
@@ -84,7 +84,7 @@ def check_single_stop(equations: AbstractEquations) -> LinearEquations:
         fault = f"need a system that is linear between contacts, got {kind}."
     elif len(stops) != 1:
         fault = f"need a system with one stop, got {len(stops)}."
-    elif linear_coefficients(stops[0].law) is None:
+    elif not is_linear(stops[0].law):
         fault = f"need a contact law that is linear (KelvinVoigt), got {law}."
     elif not can_pull(stops[0].law):
         fault = (
@@ -270,7 +270,7 @@ def multipliers(tables: Tables, contact_fraction: Scalar) -> Complex[Array, " st
     matrix = jnp.eye(2 * n)
     for phase, duration, sign in ((CONTACT, time, -1.0), (FLIGHT, flight, 1.0)):
         # Saltation: the damping force jumps where the stop is touched and left.
-        matrix = matrix.at[n:].add(sign * push @ matrix[:n])
+        matrix = matrix + sign * push @ matrix
         moved = jnp.eye(2 * n) + growth(phases, phase, duration)
         matrix = phases.to_state[phase] @ moved @ phases.from_state[phase] @ matrix
     matrix = phases.weight[:, None] * matrix / phases.weight

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Complex, Float
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import Harmonic
+from vibrojax.model.first_order import first_order
 from vibrojax.model.systems import Motion
 from vibrojax.steady.batches import one_or_many, take
 from vibrojax.steady.condensed import cell_average
@@ -81,11 +82,14 @@ def sampled_motion(
         return method.advance(motion, k * interval, interval, state, kept), state
 
     _, states = lax.scan(step, state, jnp.arange(count, dtype=float))
-    n = equations.size
-    gaps = jnp.stack([jnp.asarray(stop.gap) for stop in equations.stops])
-    depth = states[:, :n] @ equations.stop_map.T - gaps
-    change = states[:, n : 2 * n] @ equations.stop_map.T * interval
-    return depth.T, change.T, states
+    form = first_order(equations)
+    depth, rate = form.depth @ states.T - form.gap[:, None], form.rate @ states.T
+    lags = [stop.memory_size > 0 for stop in equations.stops]
+    if any(lags):  # the surface of such a stop moves too, and the force is a spring's
+        force = form.stiffness[:, None] * jnp.maximum(depth, 0.0)
+        moves = form.depth @ (form.flow @ states.T - form.push @ force)
+        rate = jnp.where(np.reshape(lags, (-1, 1)), moves, rate)
+    return depth, rate * interval, states
 
 
 @compiled

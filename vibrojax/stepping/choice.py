@@ -55,8 +55,8 @@ def choose_stepper(
     if exact:
         return ExactContact(tolerance, steps_per_period)
     linear = equation_kinds(system).linear_between_contacts
-    modal = linear is not None and linear.damping_coupling is None
-    # Modes that the damping couples have no exact drift of their own.
+    modal = linear is not None and linear.is_modal
+    # Modes that are coupled have no exact drift of their own.
     return (ExponentialSplitting if modal else LinearlyImplicit)(tolerance, steps_per_period)
 
 

@@ -5,18 +5,17 @@ phase has its own exact propagator: its state matrix is brought to blocks of two
 decay where the pair of eigenvalues is complex, two exponentials where it is real.
 """
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.checks import concrete
 from vibrojax._tools.compiled import compiled
 from vibrojax.model.equations import LinearEquations
-from vibrojax.model.laws import can_pull, linear_coefficients
+from vibrojax.model.first_order import first_order
+from vibrojax.model.laws import can_pull, is_linear
 from vibrojax.stepping.resonance import NEAR, is_resonant
 
 Lanes = Float[Array, "*lanes"]
@@ -51,8 +50,8 @@ class ContactPhases(eqx.Module):
     """Propagators, read-outs and changes of phase for every set of touching stops.
 
     Axis `phases` runs over the sets, stop s touching where bit s of the index is set. State is
-    (q, q'); block coordinates are the two rows of every block. Arrays may carry lanes as trailing
-    axes (all of them or none).
+    (q, q', internal states); block coordinates are the two rows of every block. Arrays may carry
+    lanes as trailing axes (all of them or none).
     """
 
     exponent: Float[Array, "phases 2 blocks *lanes"]
@@ -78,15 +77,17 @@ class ContactPhases(eqx.Module):
     """Block coordinates after one stop has changed its contact, from those before."""
     change_rest: Float[Array, "phases stops states *lanes"]
     """What is to be added to them because the position of rest changes."""
-    towards_stop: Float[Array, "stops blocks *lanes"]
-    """Displacement towards each stop, by coordinate q."""
-    push_off: Float[Array, "blocks stops *lanes"]
-    """Acceleration of the coordinates away from each stop, by contact force."""
+    towards_stop: Float[Array, "stops states *lanes"]
+    """Displacement towards each stop, from its surface where it relaxes, by state."""
+    speed_towards_stop: Float[Array, "stops states *lanes"]
+    """Velocity towards each stop, by state."""
+    push_off: Float[Array, "states stops *lanes"]
+    """Rate of the states away from each stop, by contact force."""
     gap: Float[Array, "stops *lanes"]
     stiffness: Float[Array, "stops *lanes"]
     damping: Float[Array, "stops *lanes"]
     weight: Float[Array, "states *lanes"]
-    """Square roots of the weights of (q, q') in the energy."""
+    """Square roots of the weights of the states in the energy."""
     can_pull: tuple[bool, ...] = eqx.field(static=True)
 
     @property
@@ -96,7 +97,7 @@ class ContactPhases(eqx.Module):
 
     @property
     def num_blocks(self) -> int:
-        """How many blocks of two a phase has: the number of modes."""
+        """How many blocks of two a phase has: half the number of states."""
         return self.rate.shape[1]
 
 
@@ -106,9 +107,9 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     Raises `ValueError` when a stop is not linear in contact or there are more than `MAX_STOPS`.
     """
     stops = equations.stops
-    if any(linear_coefficients(stop.law) is None for stop in stops):
+    if not all(is_linear(stop.law) for stop in stops):
         raise ValueError(
-            "ExactContact needs contact laws that are linear (KelvinVoigt). "
+            "ExactContact needs contact laws that are linear (KelvinVoigt, StandardLinearSolid). "
             "Use ExponentialSplitting for other laws."
         )
     if len(stops) > MAX_STOPS:
@@ -116,28 +117,19 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
             f"ExactContact takes at most {MAX_STOPS} stops, got {len(stops)}. "
             "Use ExponentialSplitting for more."
         )
-    n = equations.angular_frequency.shape[0]
-    dtype = equations.angular_frequency.dtype
-    laws = [linear_coefficients(stop.law) or (0.0, 0.0) for stop in stops]
-
-    def column(values: Sequence[ArrayLike]) -> Float[Array, " stops"]:
-        return jnp.stack([jnp.asarray(v, dtype) for v in values]) if values else jnp.zeros((0,))
-
-    stiffness, damping = column([k for k, _ in laws]), column([c for _, c in laws])
-    gap = column([stop.gap for stop in stops])
-    # Time in units of the first mode keeps positions and rates of like size in the eigenproblem.
-    unit = equations.angular_frequency[0]
-    flight = equations.flight_matrix
-    places, pushes = equations.stop_map, equations.force_map / unit**2
-    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)])
+    form = first_order(equations)
+    # Time in units of the first mode, and states of like size, suit the eigenproblem.
+    unit, scale, states = equations.angular_frequency[0], form.scale, len(form.scale)
+    blocks, dtype = states // 2, form.flow.dtype
+    flow = form.flow * scale / scale[:, None] / unit
+    pushes = form.push / scale[:, None] / unit
+    held = form.stiffness[:, None] * form.depth + form.damping[:, None] * form.rate
 
     def one(touching: Float[Array, " stops"]) -> tuple[Array, ...]:
         push = pushes * touching
-        held = [(push * stiffness) @ places, (push * damping * unit) @ places]
-        matrix = flight.at[n:].add(-jnp.concatenate(held, axis=1))
-        values, vectors = eigen(matrix)
+        values, vectors = eigen(flow - push @ (held * scale))
         complex_pairs = jnp.sum(values.imag > 0)
-        index = jnp.arange(n)
+        index = jnp.arange(blocks)
         oscillates = index < complex_pairs
         first = jnp.where(oscillates, index, complex_pairs + 2 * (index - complex_pairs))
         second = jnp.where(oscillates, first, first + 1)
@@ -146,11 +138,10 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         to_state = jnp.concatenate([left, right], axis=1)
         from_state = jnp.linalg.inv(to_state)
         # At rest every block holds the pull of the stops: no second solution of the matrix.
-        pulled = from_state @ jnp.concatenate([jnp.zeros(n), push @ (stiffness * gap)])
+        pulled = from_state @ (push @ (form.stiffness * form.gap))
         decay = jnp.stack([values[first].real, values[second].real])
         turn = jnp.where(oscillates, values[first].imag, 0.0)
         rest = _at_rest(decay, turn, pulled)
-        drive = jnp.concatenate([jnp.zeros(n), equations.input_map / unit])
         return (
             decay * unit,
             turn * unit,
@@ -158,39 +149,42 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
             scale[:, None] * to_state,
             from_state / scale,
             rest,
-            from_state @ drive,
+            from_state @ (form.input / scale),
         )
 
     sets = [[float(p >> s & 1) for s in range(len(stops))] for p in range(2 ** len(stops))]
     # As one batch: several of LAPACK's, side by side on few threads, may wait for each other.
     tables = jax.vmap(one)(jnp.asarray(sets, dtype).reshape(len(sets), len(stops)))
     exponent, rate, oscillates, to_state, from_state, rest, drive = tables
-    zero = jnp.zeros_like(places)
-    tip, none = equations.response_map[None], jnp.zeros((1, n), dtype)
-    plain = jnp.block([[places, zero], [zero, places], [tip, none], [none, tip]])
-    count = len(stops)
+    count, lags = len(stops), [stop.memory_size > 0 for stop in stops]
+
+    def slope(p: int, rows: Float[Array, "rows states"]) -> Float[Array, "rows states"]:
+        left, right = rows[:, :blocks], rows[:, blocks:]
+        decay, turn = exponent[p], rate[p]
+        # d/dt of (z1, z2) is (a1 z1 - b z2, b z1 + a2 z2).
+        along, across = left * decay[0] + right * turn, right * decay[1] - left * turn
+        return jnp.concatenate([along, across], axis=1)
 
     def read(p: int) -> Float[Array, "rows states"]:
-        rows = plain @ to_state[p]
-        left, right = rows[count : 2 * count, :n], rows[count : 2 * count, n:]
-        decay, turn = exponent[p], rate[p]
-        # Accelerations of the contact points: d/dt of (z1, z2) is (a1 z1 - b z2, b z1 + a2 z2).
-        along, across = left * decay[0] + right * turn, right * decay[1] - left * turn
-        acceleration = jnp.concatenate([along, across], axis=1)
-        return jnp.concatenate([rows[: 2 * count], acceleration, rows[2 * count :]])
+        depth, speed, response = (
+            rows @ to_state[p] for rows in (form.depth, form.rate, form.response[None])
+        )
+        if any(lags):  # the surface of such a stop moves too
+            speed = jnp.where(np.array(lags)[:, None], slope(p, depth), speed)
+        return jnp.concatenate([depth, speed, slope(p, speed), response, slope(p, response)])
 
     readout = jnp.stack([read(p) for p in range(len(sets))])
-    offset = jnp.concatenate([gap, jnp.zeros(2 * count + 2)])
-    change = jnp.zeros((len(sets), count, 2 * n, 2 * n))
-    change_rest = jnp.zeros((len(sets), count, 2 * n))
+    offset = jnp.concatenate([form.gap, jnp.zeros(2 * count + 2)])
+    change = jnp.zeros((len(sets), count, states, states))
+    change_rest = jnp.zeros((len(sets), count, states))
     for p, s in np.ndindex(len(sets), count):
         other = p ^ (1 << s)
         matrix = from_state[other] @ to_state[p]
         change = change.at[p, s].set(matrix)
         change_rest = change_rest.at[p, s].set(matrix @ rest[p] - rest[other])
     at_rest = jnp.einsum("prs,ps->pr", readout, rest) - offset
-    # Block coordinates count from rest, where nothing accelerates.
-    at_rest = at_rest.at[:, 2 * count : 3 * count].set(0.0)
+    # Block coordinates count from rest, where nothing moves.
+    at_rest = at_rest.at[:, count : 3 * count].set(0.0).at[:, -1].set(0.0)
     return ContactPhases(
         exponent=exponent,
         rate=rate,
@@ -203,11 +197,12 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         readout_rest=at_rest,
         change=change,
         change_rest=change_rest,
-        towards_stop=places,
-        push_off=equations.force_map,
-        gap=gap,
-        stiffness=stiffness,
-        damping=damping,
+        towards_stop=form.depth,
+        speed_towards_stop=form.rate,
+        push_off=form.push,
+        gap=form.gap,
+        stiffness=form.stiffness,
+        damping=form.damping,
         weight=equations.energy_weight,
         can_pull=tuple(can_pull(stop.law) for stop in stops),
     )

@@ -194,7 +194,8 @@ def enter(
     force, phases = loop.force, loop.phases
     zero = jnp.zeros_like(force.angular_frequency)
     tolerance = _no_depth(loop, state)
-    position, speed = (apply_matrix(phases.towards_stop, half) for half in jnp.split(state, 2))
+    position = apply_matrix(phases.towards_stop, state)
+    speed = apply_matrix(phases.speed_towards_stop, state)
     depth = position - spread(phases.gap, 1, loop.lanes)
     stiffness, damping = (spread(a, 1, loop.lanes) for a in (phases.stiffness, phases.damping))
     can_pull, w = loop.column(phases.can_pull).astype(bool), force.angular_frequency
@@ -220,10 +221,14 @@ def enter(
 def _no_depth(loop: ContactLoop, state: Float[Array, "states *#lanes"]) -> Float[Array, "*lanes"]:
     """Depth, m, that counts as none."""
     # A stop without gap on a body without drive has no length of its own: take the state's.
-    weight = spread(loop.phases.towards_stop, 2, loop.lanes)
-    q, v = jnp.split(lax.stop_gradient(jnp.abs(state)), 2)
-    reach = q + v / loop.force.angular_frequency
-    size = jnp.max(jnp.sum(jnp.abs(weight) * reach, axis=1), axis=0, initial=0.0)
+    phases, w = loop.phases, loop.force.angular_frequency
+    rows = (
+        spread(phases.towards_stop, 2, loop.lanes),
+        spread(phases.speed_towards_stop, 2, loop.lanes),
+    )
+    weight = jnp.abs(rows[0]) + jnp.abs(rows[1]) / w
+    size = jnp.sum(weight * lax.stop_gradient(jnp.abs(state)), axis=1)
+    size = jnp.max(size, axis=0, initial=0.0)
     return jnp.maximum(loop.force.depth_tolerance, 1e-9 * size)
 
 

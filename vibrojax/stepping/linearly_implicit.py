@@ -13,7 +13,8 @@ from vibrojax._tools.checks import check_count, check_positive, concrete
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.equations import AbstractEquations, touching_stops
+from vibrojax.model.equations import AbstractEquations
+from vibrojax.model.stop_forces import touching_stops
 from vibrojax.model.systems import AbstractSystem, Motion, as_arrays, equations_of
 from vibrojax.stepping.linearly_implicit_step import (
     StepMatrix,
@@ -137,12 +138,13 @@ class LinearlyImplicit(AbstractStepper):
 
 
 def _without_memory(equations: AbstractEquations) -> AbstractEquations:
-    for stop in equations.stops:
-        if stop.has_memory:
-            raise ValueError(
-                f"LinearlyImplicit takes contact laws without an internal state, but a "
-                f"{type(stop.law).__name__} has one. Use simulate(..., solver=diffrax.Kvaerno5())."
-            )
+    if equations.memory_size:
+        owner = next((type(s.law).__name__ for s in equations.stops if s.memory_size), None)
+        raise ValueError(
+            "LinearlyImplicit takes systems and contact laws without internal states, but a "
+            f"{owner or type(equations).__name__} has one. Use simulate(..., "
+            "stepper=diffrax.Kvaerno5())."
+        )
     return equations
 
 

@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from vibrojax.model.equations import AbstractEquations, stop_forces
+from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.laws import linear_coefficients
+from vibrojax.model.stop_forces import stop_forces
 from vibrojax.model.stops import Stop
 from vibrojax.stepping.splitting import drift
 

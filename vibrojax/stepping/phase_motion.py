@@ -143,7 +143,7 @@ def read_stops(
     phases: ContactPhases, phase: Phase, blocks: tuple[Float[Array, "states *where"], ...]
 ) -> tuple[OfStops, OfStops, OfStops]:
     """Depths of the stops, their rates and accelerations, from what `follow` returns."""
-    rows = phases.towards_stop @ phases.to_state[phase][: phases.num_blocks]
+    rows = phases.towards_stop @ phases.to_state[phase]
     depth, rate, acceleration = (jnp.tensordot(rows, b, axes=1) for b in blocks)
     return depth - _column(phases.gap, depth), rate, acceleration
 

@@ -17,7 +17,8 @@ from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 from vibrojax._tools.trigonometry import cosine_and_sine
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.equations import AbstractEquations, contact_slope
+from vibrojax.model.equations import AbstractEquations
+from vibrojax.model.stop_forces import contact_slope
 from vibrojax.model.stops import Stop
 
 NEAR = 1e-4

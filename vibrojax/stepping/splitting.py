@@ -18,8 +18,8 @@ from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.trigonometry import cosine_and_sine
-from vibrojax.model.equations import (
-    LinearEquations,
+from vibrojax.model.equations import LinearEquations
+from vibrojax.model.stop_forces import (
     contact_slope,
     memory_rates,
     stop_forces,
@@ -74,10 +74,10 @@ def drift(angular_frequency: Modes, damping_ratio: Modes, time: Lanes) -> Drift:
 
 def check_uncoupled(equations: LinearEquations) -> None:
     """Raise `ValueError` when the damping couples the modes: the drift takes them one by one."""
-    if equations.damping_coupling is not None:
+    if not equations.is_modal:
         raise ValueError(
-            "ExponentialSplitting needs modal damping without coupling. Use ExactContact() or a "
-            "diffrax solver."
+            "ExponentialSplitting needs modes that neither damping nor internal states couple. Use "
+            "ExactContact() or a diffrax solver."
         )
 
 
@@ -220,7 +220,10 @@ def _middle_memory(stops, depth, rate, memory, step):
     speed, slope = jax.jvp(
         lambda m: memory_rates(stops, depth, rate, m), (memory,), (jnp.ones_like(memory),)
     )
-    return memory + step / 2 * speed / (1 - step / 2 * slope)
+    middle = memory + step / 2 * speed / (1 - step / 2 * slope)
+    idle = np.arange(len(memory)) >= sum(stop.memory_size for stop in stops)
+    # What idles is gone after a step.
+    return jnp.where(idle.reshape((-1,) + (1,) * (memory.ndim - 1)), memory / 2, middle)
 
 
 def contact_rate(equations: LinearEquations) -> Lanes:
