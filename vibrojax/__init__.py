@@ -48,15 +48,16 @@ from vibrojax.model.elastic_pendulum import ElasticPendulum as ElasticPendulum
 from vibrojax.model.elastic_pendulum import Limiters as Limiters
 from vibrojax.model.elastic_pendulum import default_pendulum as default_pendulum
 from vibrojax.model.examples import default_rig as default_rig
+from vibrojax.model.harvester import Harvester as Harvester
 from vibrojax.model.impacting_beam import ImpactingBeam as ImpactingBeam
 from vibrojax.model.laws import Hertz as Hertz
 from vibrojax.model.laws import HuntCrossley as HuntCrossley
 from vibrojax.model.laws import KelvinVoigt as KelvinVoigt
-from vibrojax.model.laws import MaxwellChain as MaxwellChain
 from vibrojax.model.laws import StandardLinearSolid as StandardLinearSolid
 from vibrojax.model.linearised_pendulum import LinearisedPendulum as LinearisedPendulum
 from vibrojax.model.matrix_system import MatrixSystem as MatrixSystem
 from vibrojax.model.modes import modes as modes
+from vibrojax.model.state_space import StateSpace as StateSpace
 from vibrojax.model.stops import Stop as Stop
 from vibrojax.plot.maps import plot_map as plot_map
 from vibrojax.plot.maps import plot_map_summary as plot_map_summary

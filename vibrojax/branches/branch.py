@@ -87,8 +87,9 @@ class Branch(BranchPoints, AbstractSaved):
 def _picture(
     branches: Sequence[Branch], variable: str, sweep: FrequencyResponse | None = None
 ) -> "Figure":
-    if variable not in CURVES:
-        raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, CURVES)}")
+    known = (*CURVES, *branches[0].derived)
+    if variable not in known:
+        raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, known)}")
     drawn = [b.to_xarray() for b in branches if len(b.values)]
     if not drawn:
         raise ValueError("None of the branches has a point to draw.")

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from vibrojax.branches.on_curve import OnCurve, Touch
+from vibrojax.results.derived import AbstractRatios
 from vibrojax.results.variables import axis_description, axis_unit, described_as
 from vibrojax.steady.paths import AbstractPath
 
@@ -78,7 +79,7 @@ class SpecialPoint(eqx.Module):
         )
 
 
-class BranchPoints(eqx.Module):
+class BranchPoints(AbstractRatios):
     """What a `Branch` holds, and all of it that needs no further solving."""
 
     axis: str = eqx.field(static=True)
@@ -216,7 +217,8 @@ class BranchPoints(eqx.Module):
         def described(name: str, dims: tuple[str, ...], values: Any) -> tuple[Any, ...]:
             return dims, np.asarray(values), described_as(name, self.ratio_units, axis_units)
 
-        data: dict[str, Any] = {n: described(n, ("point",), getattr(self, n)) for n in CURVES}
+        curves = (*CURVES, *self.derived)
+        data: dict[str, Any] = {n: described(n, ("point",), getattr(self, n)) for n in curves}
         for name in ("exact_points", "stable"):
             data[name] = described(name, ("point",), getattr(self, name).astype(np.int8))
         for part, values in (

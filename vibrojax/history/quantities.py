@@ -56,7 +56,12 @@ def observables_of(equations: AbstractEquations) -> tuple[str, ...]:
     """Return the names of what the equations let one watch, beyond the displacement."""
     like = jax.ShapeDtypeStruct((equations.size,), float)
     seen = jax.eval_shape(equations.observables, like)
-    return tuple(name for name in seen if name != "displacement")
+    return (*(name for name in seen if name != "displacement"), *_internal_names(equations))
+
+
+def _internal_names(equations: AbstractEquations) -> tuple[str, ...]:
+    linear = equations.linear_between_contacts
+    return () if linear is None or linear.internal is None else linear.internal.names
 
 
 def quantities_of(equations: AbstractEquations) -> tuple[str, ...]:
@@ -113,8 +118,15 @@ Motions = tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]
 
 @compiled
 def observable_motion(history: SampledMotion, name: str) -> Motions:
-    """Return an observable of the equations, its rate and the rate of that."""
-    equations = history.motion.equations
+    """Return an observable of the equations, its rate and the rate of that.
+
+    Of an internal state the latter is not told (NaN): it may jump.
+    """
+    equations, motion = history.motion.equations, history.motion
+    if name in (names := _internal_names(equations)):
+        place = 2 * equations.size + names.index(name)
+        rates = jax.vmap(lambda t, x: motion.vector_field(t, x, None))(history.time, history.states)
+        return history.states[:, place], rates[:, place], jnp.full_like(history.time, jnp.nan)
 
     def read(q):
         return equations.response(q) if name == "displacement" else equations.observables(q)[name]

@@ -40,6 +40,7 @@ from vibrojax.maps.work import MapSpec
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.regime.bifurcation import diagram_settings
 from vibrojax.regime.settings import RegimeSettings
+from vibrojax.results.derived import add_derived
 from vibrojax.steady.methods import PeriodicSettings
 from vibrojax.sweep.settings import SweepSettings
 
@@ -320,7 +321,7 @@ def _dataset(place: Any, names: list[str], in_memory: bool) -> "xarray.Dataset":
         if values.dtype.kind not in "fiubU":
             texts = np.array([str(text) for text in values.values])
             dataset = dataset.assign_coords({name: (values.dims, texts, values.attrs)})
-    return dataset
+    return add_derived(dataset)
 
 
 def chosen_response(response: Any) -> AbstractMapResponse:

@@ -47,7 +47,7 @@ def without_memory(stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
     found = []
     for stop in stops:
         law = linear_contact(stop.law) if stop.memory_size else None
-        found.append(stop if law is None else replace(stop, law=KelvinVoigt(law.stiffness)))
+        found.append(stop if law is None else replace(stop, law=KelvinVoigt(jnp.asarray(law.stiffness))))
     return tuple(found)
 
 
@@ -120,7 +120,8 @@ def structure(equations: LinearEquations) -> tuple[Array, Array, Array, Array, A
         flow = jnp.concatenate([jnp.concatenate([flow, onto], axis=1), below])
         input_ = jnp.concatenate([input_, own.from_input])
         push = jnp.concatenate([push, own.from_force])
-        response = jnp.concatenate([response, own.response])
+        theirs = float(own.reports)
+        response = jnp.concatenate([(1 - theirs) * response, theirs * own.response])
     more = 2 * n + equations.memory_size - len(input_)
     # What idles decays, at a rate as good as any.
     flow = jnp.pad(flow, (0, more)) - jnp.diag(

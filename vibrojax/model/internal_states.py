@@ -30,11 +30,13 @@ class InternalStates(eqx.Module):
     acceleration: Float[Array, "coordinates internal *lanes"]
     """Acceleration of the coordinates by unit states."""
     response: Float[Array, "internal *lanes"]
-    """What a unit state adds to the reported response."""
+    """What a unit state is in the reported response, where that is theirs."""
     weight: Float[Array, "internal *lanes"]
     """Root of twice the energy of a unit state, J^(1/2) per unit."""
     names: tuple[str, ...] = eqx.field(static=True, default=())
     """What histories call the states; none where they have no names."""
+    reports: bool = eqx.field(static=True, default=False)
+    """Whether the response that studies report is theirs, in place of the displacement."""
 
     @property
     def size(self) -> int:

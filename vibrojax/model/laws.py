@@ -5,7 +5,7 @@ the gap: the `Stop` decides when there is contact and rounds the corner of the f
 """
 
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -151,6 +151,15 @@ def _power(penetration: Values, exponent: ArrayLike) -> Values:
     return jnp.where(touching, jnp.where(touching, penetration, 1.0) ** exponent, 0.0)
 
 
+def _numbers_field(units: str) -> Any:
+    """A field of several numbers; one of them becomes a tuple."""
+
+    def several(given: Any) -> tuple[Any, ...]:
+        return tuple(given) if isinstance(given, list | tuple) else (given,)
+
+    return eqx.field(converter=several, metadata={"units": units})
+
+
 def _check_exponent(exponent: object) -> None:
     allowed, advice = "from 1 (a linear spring) to 5", "Hertz contact of a sphere has 1.5."
     check_range("exponent", exponent, 1.0, 5.0, allowed=allowed, advice=advice)
@@ -292,7 +301,7 @@ class AbstractRelaxingLaw(AbstractMemoryLaw):
         """Return z', m/s."""
         surface = self._surface(penetration, memory)
         rates = [(surface - stretch) / time for (_, time), stretch in self._with(memory)]
-        return rates[0] if self.memory_size == 1 else jnp.stack(rates)
+        return jnp.asarray(rates[0]) if self.memory_size == 1 else jnp.stack(rates)
 
     def stored_energy_with_memory(self, penetration: Values, memory: Values) -> Values:
         """Return the energy of all springs, J."""
@@ -304,7 +313,7 @@ class AbstractRelaxingLaw(AbstractMemoryLaw):
 
     def force(self, penetration: Values, rate: Values) -> Values:
         """Return the force of a stop that was at rest before, N."""
-        return self.linear_contact().stiffness * penetration
+        return jnp.asarray(self.linear_contact().stiffness) * penetration
 
     def _with(self, memory: Values) -> list[tuple[tuple[Number, Number], Values]]:
         stretches = [memory] if self.memory_size == 1 else list(memory)
@@ -314,7 +323,7 @@ class AbstractRelaxingLaw(AbstractMemoryLaw):
         """How deep the surface of the stop is, m: with the body, or where no force holds it."""
         shares = self.linear_contact().shares
         free = sum(s * z for s, (_, z) in zip(shares, self._with(memory), strict=True))
-        return jnp.maximum(penetration, free)
+        return jnp.maximum(penetration, jnp.asarray(free))
 
 
 @validated
@@ -362,9 +371,9 @@ class MaxwellChain(AbstractRelaxingLaw):
 
     stiffness: Number = number_field("N/m")
     """Stiffness of a slow compression, N/m."""
-    maxwell_stiffness: tuple[Number, ...] = eqx.field(converter=tuple, metadata={"units": "N/m"})
+    maxwell_stiffness: tuple[Number, ...] = _numbers_field("N/m")
     """What a sudden compression adds to it, N/m, by element."""
-    relaxation_time: tuple[Number, ...] = eqx.field(converter=tuple, metadata={"units": "s"})
+    relaxation_time: tuple[Number, ...] = _numbers_field("s")
     """Time in which the force of an element falls to 1/e under constant penetration, s."""
 
     def __check_init__(self) -> None:

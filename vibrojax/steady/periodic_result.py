@@ -10,6 +10,7 @@ from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.signatures import validated
 from vibrojax.model.systems import AbstractSystem, equation_kinds
+from vibrojax.results.derived import AbstractRatios
 from vibrojax.results.status import Status
 from vibrojax.results.variables import described_as
 from vibrojax.stepping.resonance import is_unbounded, unbounded_at
@@ -53,7 +54,7 @@ class Sampled(NamedTuple):
     initial_state: Float[Array, " states"]
 
 
-class PeriodicResponse(eqx.Module):
+class PeriodicResponse(AbstractRatios):
     """A steady state and its stability. Numbers are arrays without axes (or those of a `vmap`)."""
 
     amplitude_ratio: Float[Array, "*lanes"]
@@ -203,7 +204,8 @@ class PeriodicResponse(eqx.Module):
         def variable(name: str, values: Any, *dims: str) -> tuple[Any, ...]:
             return (*lanes, *dims), np.asarray(values), described_as(name, self.ratio_units)
 
-        names = (*NUMBERS, "frequency_ratio", "minimal_period", "guess_distance", "status")
+        names = (*NUMBERS, *self.derived, "frequency_ratio", "minimal_period", "guess_distance")
+        names = (*names, "status")
         data: dict[str, Any] = {name: variable(name, getattr(self, name)) for name in names}
         multipliers = np.asarray(self.floquet_multipliers)
         for part, values in (("real", np.real(multipliers)), ("imaginary", np.imag(multipliers))):

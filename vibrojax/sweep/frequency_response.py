@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.results.axes import coordinates_of, view_of
+from vibrojax.results.derived import AbstractRatios
 from vibrojax.results.saving import AbstractSaved
 from vibrojax.results.status import Status
 from vibrojax.results.variables import VARIABLES, described_as
@@ -47,7 +48,7 @@ def _highest(values: Array) -> Any:
     return np.where(np.isneginf(highest), np.nan, highest)[()]
 
 
-class FrequencyResponse(AbstractSaved):
+class FrequencyResponse(AbstractSaved, AbstractRatios):
     """Steady responses on a frequency axis, with the state carried along each direction.
 
     Curves have the shape (axes of the call..., directions, frequencies), frequencies ascending in
@@ -65,7 +66,7 @@ class FrequencyResponse(AbstractSaved):
     """The other axes of the call, by name; numbers that go together (`vj.zipped`) as one structured
     array."""
     ratio_units: str = eqx.field(static=True)
-    """Unit of the ratios: `1` for base motion, `m/N` for a force."""
+    """Unit of the ratios: `1` for base motion, `m/N` for a force, else that of what is reported."""
     amplitude_ratio: Float[Array, "..."]
     """Half peak-to-peak displacement over drive amplitude."""
     peak_ratio: Float[Array, "..."]
@@ -105,21 +106,7 @@ class FrequencyResponse(AbstractSaved):
     @property
     def curves(self) -> tuple[str, ...]:
         """Names of what there is over frequency."""
-        return (*CURVES, "receptance") if self.ratio_units == "m/N" else CURVES
-
-    @property
-    def receptance(self) -> Float[Array, "..."]:
-        """Displacement rms over force rms, m/N, of a system that a force drives.
-
-        The displacement counts from rest, so a mean that contact gives it is part of its rms.
-        Source: Ledezma-Ramirez et al., figs. 4 and 9. Raises `ValueError` where the base moves.
-        """
-        if self.ratio_units != "m/N":
-            raise ValueError(
-                "receptance needs a system that a force drives (PointForce): where the base moves, "
-                "use amplitude_ratio."
-            )
-        return self.rms_ratio * np.sqrt(2.0)
+        return (*CURVES, *self.derived)
 
     @property
     def peak_amplitude_ratio(self) -> float | Float[Array, "..."]:
