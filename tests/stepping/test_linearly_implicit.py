@@ -299,7 +299,9 @@ def test_steps_too_long_for_the_damping_are_refused():
 
 def test_stops_with_memory_are_refused():
     system = oscillator(0.0, law=vj.StandardLinearSolid(50.0, 20.0, 1.0))
-    with pytest.raises(ValueError, match="LinearlyImplicit takes contact laws without an internal"):
+    with pytest.raises(
+        ValueError, match="LinearlyImplicit takes systems and contact laws without internal"
+    ):
         vj.simulate(system, frequency=0.2, periods=1, stepper=vj.LinearlyImplicit())
 
 

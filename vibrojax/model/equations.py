@@ -251,8 +251,12 @@ class LinearEquations(AbstractEquations):
     @property
     def memory_size(self) -> int:
         """How many internal states there are: an even number, if need be with one that idles."""
-        count = self.internal_size + super().memory_size
-        return count + count % 2
+        return self.internal_size + super().memory_size + self.idle_size
+
+    @property
+    def idle_size(self) -> int:
+        """1 where a state idles, so that there is an even number of them; else 0."""
+        return (self.internal_size + super().memory_size) % 2
 
     def linear_force(self, q: Coordinates, rate: Coordinates) -> Coordinates:
         """Return C q' + K q."""
@@ -314,8 +318,7 @@ class LinearEquations(AbstractEquations):
                 shape = stop.memory_size, *root_mass.shape[1:]
                 rows.append(jnp.broadcast_to(root, shape))
         rows = jnp.concatenate(rows)
-        idle = 2 * self.size + self.memory_size - len(rows)
-        return jnp.concatenate([rows, jnp.ones((idle, *rows.shape[1:]))]) if idle else rows
+        return jnp.concatenate([rows, jnp.ones((self.idle_size, *rows.shape[1:]))])
 
     def contact_forces(
         self, q: Coordinates, rate: Coordinates, memory: OwnMemories | None = None
@@ -323,7 +326,9 @@ class LinearEquations(AbstractEquations):
         """Return the rounded force of each stop, N, positive when it pushes the body off."""
         return super().contact_forces(q, rate, self.memory_of_stops(memory))
 
-    def memory_of_stops(self, memory: Memories | None) -> Memories | None:
+    def memory_of_stops(
+        self, memory: Memories | None
+    ) -> Float[Array, "stop_memories *lanes"] | None:
         """Return the internal states that are those of the stops."""
         return None if memory is None else memory[self.internal_size :]
 
@@ -338,8 +343,7 @@ class LinearEquations(AbstractEquations):
         stops = self.memory_of_stops(memory)
         assert stops is not None
         rates = super().memory_rates(q, rate, stops)
-        idle = self.memory_size - self.internal_size - super().memory_size
-        if idle:
+        if self.idle_size:
             rates = rates.at[-1].add(-self.angular_frequency[0] * stops[-1])
         own = self.internal
         if own is None:

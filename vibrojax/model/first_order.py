@@ -47,7 +47,9 @@ def without_memory(stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
     found = []
     for stop in stops:
         law = linear_contact(stop.law) if stop.memory_size else None
-        found.append(stop if law is None else replace(stop, law=KelvinVoigt(jnp.asarray(law.stiffness))))
+        found.append(
+            stop if law is None else replace(stop, law=KelvinVoigt(jnp.asarray(law.stiffness)))
+        )
     return tuple(found)
 
 

@@ -152,12 +152,7 @@ def _power(penetration: Values, exponent: ArrayLike) -> Values:
 
 
 def _numbers_field(units: str) -> Any:
-    """A field of several numbers; one of them becomes a tuple."""
-
-    def several(given: Any) -> tuple[Any, ...]:
-        return tuple(given) if isinstance(given, list | tuple) else (given,)
-
-    return eqx.field(converter=several, metadata={"units": units})
+    return eqx.field(converter=tuple, metadata={"units": units})
 
 
 def _check_exponent(exponent: object) -> None:
@@ -273,7 +268,7 @@ class AbstractRelaxingLaw(AbstractMemoryLaw):
 
     @property
     @abstractmethod
-    def elements(self) -> tuple[tuple[Number, Number], ...]:
+    def elements(self) -> tuple[tuple[Any, Any], ...]:
         """Stiffness (N/m) and relaxation time (s) of every Maxwell element."""
 
     @property
@@ -315,7 +310,7 @@ class AbstractRelaxingLaw(AbstractMemoryLaw):
         """Return the force of a stop that was at rest before, N."""
         return jnp.asarray(self.linear_contact().stiffness) * penetration
 
-    def _with(self, memory: Values) -> list[tuple[tuple[Number, Number], Values]]:
+    def _with(self, memory: Values) -> list[tuple[tuple[Any, Any], Values]]:
         stretches = [memory] if self.memory_size == 1 else list(memory)
         return list(zip(self.elements, stretches, strict=True))
 
@@ -352,7 +347,7 @@ class StandardLinearSolid(AbstractRelaxingLaw):
         check_positive("relaxation_time", self.relaxation_time, "s")
 
     @property
-    def elements(self) -> tuple[tuple[Number, Number], ...]:
+    def elements(self) -> tuple[tuple[Any, Any], ...]:
         """Stiffness (N/m) and relaxation time (s) of the Maxwell element."""
         return ((self.maxwell_stiffness, self.relaxation_time),)
 
@@ -390,6 +385,6 @@ class MaxwellChain(AbstractRelaxingLaw):
             check_positive("relaxation_time", time, "s")
 
     @property
-    def elements(self) -> tuple[tuple[Number, Number], ...]:
+    def elements(self) -> tuple[tuple[Any, Any], ...]:
         """Stiffness (N/m) and relaxation time (s) of every Maxwell element."""
         return tuple(zip(self.maxwell_stiffness, self.relaxation_time, strict=True))

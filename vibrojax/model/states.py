@@ -27,12 +27,13 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
 
 
 def as_state(name: str, given: Any, equations: Any) -> Float[Array, " states"]:
-    """Return a state as one array: from one, from (q, q') or (q, q', memories), or a response.
+    """Return a state as one array: from one, from (q, q') or (q, q', internal), or a response.
 
-    Memories that are left out are at rest. Raises `ValueError` for another shape, or values that
+    Internal states that are left out are at rest. Raises `ValueError` for another shape, or values that
     are not finite.
     """
     n, size = equations.size, equations.state_size
+    held = size - 2 * n - getattr(equations, "idle_size", 0)  # equations of one's own have none
     given = getattr(given, "initial_state", given)  # of a PeriodicResponse or a point of a branch
     shown, state = repr(given), None
     try:
@@ -42,15 +43,15 @@ def as_state(name: str, given: Any, equations: Any) -> Float[Array, " states"]:
         shapes = [part.shape for part in parts]
         if several and shapes[0]:
             shown = f"shapes {shapes}"
-            if shapes == [(n,), (n,), (size - 2 * n,)][: len(parts)]:
+            if shapes[:2] == [(n,), (n,)] and shapes[2:] in ([], [(held,)], [(size - 2 * n,)]):
                 state = jnp.concatenate(parts)
         else:
             state = jnp.stack(parts) if several else parts[0]
             shown = f"an array of shape {state.shape}"
     except (TypeError, ValueError, OverflowError):
         state = None
-    if state is None or state.shape not in ((size,), (2 * n,)):
-        memories = f", and the memories of the stops, shape ({size - 2 * n},)" * (size > 2 * n)
+    if state is None or state.shape not in ((size,), (2 * n + held,), (2 * n,)):
+        memories = f", and the internal states, shape ({held},)" * (held > 0)
         raise ValueError(
             f"{name} must be q and q' of shape ({n},) each{memories}, or a state (q, q') of shape "
             f"({size},), got {shown}. The system's state(displacement=..., velocity=...) makes one."

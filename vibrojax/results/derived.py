@@ -5,14 +5,15 @@ from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from vibrojax._tools.types import AnyArray
 from vibrojax.results.variables import described_as
 
 if TYPE_CHECKING:
     import xarray
 
-Values = Float[Array, "..."]
+Values = Float[AnyArray, "..."]
 Rule = tuple[str, Callable[[Any], Any]]
 
 DERIVED: dict[str, dict[str, Rule]] = {
