@@ -84,7 +84,11 @@ def _begun(
     value, _ = indicator(rate, jnp.zeros_like(depth))
     force = form.stiffness[:, None] * depth + form.damping[:, None] * rate
     change = form.flow @ states - form.push @ jnp.where(value > 0, force, 0.0)
-    change = change + form.input[:, None] * motion.drive.input(motion.waveform, time)
+    change = (
+        change
+        + form.load[:, None]
+        + form.input[:, None] * motion.drive.input(motion.waveform, time)
+    )
     rate = jnp.where(np.reshape(lags, (-1, 1)), form.depth @ change, rate)
     value, slope = indicator(rate, form.rate @ change)
     touching = jnp.where(jnp.abs(value) <= near, slope > 0, value > 0)

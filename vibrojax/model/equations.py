@@ -217,6 +217,8 @@ class LinearEquations(AbstractEquations):
     """Stiffness over mass beyond w_i^2, 1/s2; None where coordinates are those of modes."""
     internal: InternalStates | None = None
     """States of first order of the structure; None where it has none."""
+    load: PerCoordinate | None = None
+    """Acceleration of the coordinates by forces that stay the same, gravity say; None: none."""
 
     @property
     def size(self) -> int:
@@ -239,8 +241,8 @@ class LinearEquations(AbstractEquations):
 
     @property
     def is_modal(self) -> bool:
-        """Whether every coordinate is that of a mode which no other moves, contact apart."""
-        coupled = self.damping_coupling, self.stiffness_coupling, self.internal
+        """Whether every coordinate is that of a mode that moves alone, about 0, contact apart."""
+        coupled = self.damping_coupling, self.stiffness_coupling, self.internal, self.load
         return all(part is None for part in coupled)
 
     @property
@@ -281,8 +283,8 @@ class LinearEquations(AbstractEquations):
         return diagonal + self.damping_coupling @ rate
 
     def smooth_force(self, q: Coordinates, rate: Coordinates) -> Coordinates:
-        """Return zero: the body is linear."""
-        return jnp.zeros_like(q)
+        """Return the forces that stay the same."""
+        return jnp.zeros_like(q) if self.load is None else self.modal_mass * self.load
 
     def input(self, q: Coordinates) -> Coordinates:
         """Return the generalised force of a unit input."""
@@ -362,6 +364,8 @@ class LinearEquations(AbstractEquations):
     ) -> Coordinates:
         """Solve the equation of motion for q'', without forming the diagonal mass matrix."""
         free = self.input_map * drive_input - self._damping(rate) - self._stiffness(q)
+        if self.load is not None:
+            free = free + self.load
         if self.internal is not None and memory is not None:
             free = free + self.internal.acceleration @ memory[: self.internal.size]
         return free - self.force_map @ self.contact_forces(q, rate, memory)

@@ -1,6 +1,6 @@
 """Linear equations as a system of first order: what exact contact and balances are made from.
 
-x' = flow x + input a(t) - sum over touching stops of push_s F_s,
+x' = flow x + load + input a(t) - sum over touching stops of push_s F_s,
 F_s = stiffness_s (depth_s x - gap_s) + damping_s rate_s x,
 
 where x = (q, q', internal states). A stop that relaxes is linear too: its surface, where it is left
@@ -40,6 +40,8 @@ class FirstOrder(NamedTuple):
     stiffness: Float[Array, " stops"]
     damping: Float[Array, " stops"]
     gap: Float[Array, " stops"]
+    load: Float[Array, " states"]
+    """Rate by forces that stay the same."""
 
 
 def without_memory(stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
@@ -84,6 +86,7 @@ def first_order(equations: LinearEquations) -> FirstOrder:
     unit = equations.angular_frequency[0]
     scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit), size[2 * n :]])
     still = jnp.zeros((len(laws), len(scale) - 2 * n))
+    steady = jnp.zeros(n) if equations.load is None else equations.load
     return FirstOrder(
         flow=flow,
         input=input_,
@@ -95,6 +98,7 @@ def first_order(equations: LinearEquations) -> FirstOrder:
         stiffness=column([law.stiffness for law in laws]),
         damping=column([law.damping for law in laws]),
         gap=column([stop.gap for stop in equations.stops]),
+        load=jnp.concatenate([jnp.zeros(n), steady, jnp.zeros(len(scale) - 2 * n)]),
     )
 
 

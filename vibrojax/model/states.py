@@ -29,8 +29,8 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
 def as_state(name: str, given: Any, equations: Any) -> Float[Array, " states"]:
     """Return a state as one array: from one, from (q, q') or (q, q', internal), or a response.
 
-    Internal states that are left out are at rest. Raises `ValueError` for another shape, or values that
-    are not finite.
+    Internal states that are left out are at rest. Raises `ValueError` for another shape, or values
+    that are not finite.
     """
     n, size = equations.size, equations.state_size
     held = size - 2 * n - getattr(equations, "idle_size", 0)  # equations of one's own have none

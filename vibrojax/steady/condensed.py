@@ -132,12 +132,23 @@ def condensed_problem(
     gaps = jnp.stack([jnp.asarray(stop.gap, float) for stop in equations.stops])
     still = jnp.zeros(count).at[0].set(samples)
     averaged = table.stop_from_input * wave * cell_average(samples, count)
+    moved, response = table.response_from_input * wave, jnp.zeros(())
+    if equations.load is not None:
+        form, rest = first_order(equations), _under_load(equations)
+        gaps, response = gaps - form.depth @ rest, form.response @ rest
     return Problem(
         stops=without_memory(equations.stops),
         receptance=table,
         drive=averaged - gaps[:, None] * still,
-        response_drive=table.response_from_input * wave,
+        response_drive=moved + response * still,
     )
+
+
+def _under_load(equations: LinearEquations) -> Float[Array, " states"]:
+    """State of rest under the forces that stay the same, without contact."""
+    form = first_order(equations)
+    scaled = form.flow * form.scale / form.scale[:, None]
+    return -form.scale * jnp.linalg.solve(scaled, form.load / form.scale)
 
 
 def differentiate(
@@ -282,4 +293,5 @@ def state_of(
     spectrum = jnp.einsum("rck,ck->rk", table, inputs)
     twice = jnp.full(count, 2.0).at[0].set(1.0).at[-1].set(0.0)
     turn = twice * jnp.exp(1j * angle / period * jnp.arange(count)) / samples
-    return (spectrum * turn).real.sum(1)
+    state = (spectrum * turn).real.sum(1)
+    return state if equations.load is None else state + _under_load(equations)

@@ -91,6 +91,8 @@ def check_single_stop(equations: AbstractEquations) -> LinearEquations:
             f"need a stop that is left at depth zero, got {law} with tension=False. Give it "
             "tension=True, or use frequency_sweep."
         )
+    elif linear.load is not None:
+        fault = "need a system without a constant force. Use continue_response."
     elif not stops[0].is_linear:
         fault = (
             f"keep the corner of the contact force, got smoothing = {stops[0].smoothing!r}. Leave "

@@ -87,7 +87,7 @@ def sampled_motion(
     lags = [stop.memory_size > 0 for stop in equations.stops]
     if any(lags):  # the surface of such a stop moves too, and the force is a spring's
         force = form.stiffness[:, None] * jnp.maximum(depth, 0.0)
-        moves = form.depth @ (form.flow @ states.T - form.push @ force)
+        moves = form.depth @ (form.flow @ states.T + form.load[:, None] - form.push @ force)
         rate = jnp.where(np.reshape(lags, (-1, 1)), moves, rate)
     return depth, rate * interval, states
 

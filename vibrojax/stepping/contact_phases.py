@@ -137,8 +137,8 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         right = jnp.where(oscillates, -2 * vectors[:, first].imag, vectors[:, second].real)
         to_state = jnp.concatenate([left, right], axis=1)
         from_state = jnp.linalg.inv(to_state)
-        # At rest every block holds the pull of the stops: no second solution of the matrix.
-        pulled = from_state @ (push @ (form.stiffness * form.gap))
+        # At rest every block holds the pull of stops and load: no second solution of the matrix.
+        pulled = from_state @ (push @ (form.stiffness * form.gap) + form.load / scale / unit)
         decay = jnp.stack([values[first].real, values[second].real])
         turn = jnp.where(oscillates, values[first].imag, 0.0)
         rest = _at_rest(decay, turn, pulled)
