@@ -22,6 +22,7 @@ from vibrojax.branches.special_points import parabola_vertex
 from vibrojax.branches.tracing import Traced
 from vibrojax.ensemble.lanes import stacked
 from vibrojax.identification.sensor import Sensor, observe
+from vibrojax.model.first_order import without_memory
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.steady.balanced_motion import kicked_monodromy
 from vibrojax.steady.batches import in_batches, take
@@ -288,7 +289,7 @@ def _waves(paths, depth, frequency):
     waves = jnp.fft.irfft(FINER * rows.at[:, -1].set(0.0), FINER * samples)
     value, rate = jnp.split(waves, 2)
     rate = rate * per_second
-    stops = enumerate(place.equations.stops, start=1)
+    stops = enumerate(without_memory(place.equations.stops), start=1)
     forces = jnp.stack([stop.force(value[a], rate[a]) for a, stop in stops])
     return value[0], rate[0], forces, jnp.any(value[1:] > 0, axis=0)
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from vibrojax.model.drives import BaseMotion
+from vibrojax.model.first_order import without_memory
 from vibrojax.steady.condensed import Problem, cell_average, differentiate
 from vibrojax.steady.paths import Place
 from vibrojax.stepping.cubic import cubic_maximum
@@ -90,6 +91,6 @@ def _largest_force(place: Place, motion: Complex[Array, "stops harmonics"], per_
     value, change = jnp.fft.irfft(both, finer * samples)
     forces = [
         stop.force(value[a], change[a] * finer * per_second)
-        for a, stop in enumerate(place.equations.stops)
+        for a, stop in enumerate(without_memory(place.equations.stops))
     ]
     return jnp.max(jnp.stack(forces))
