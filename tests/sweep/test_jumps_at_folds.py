@@ -7,7 +7,8 @@ import pytest
 import vibrojax as vj
 from vibrojax.model.systems import as_arrays
 from vibrojax.steady.fold_ahead import folds_ahead
-from vibrojax.sweep.swept_lanes import prepare, rigs_of, sweep_rigs
+from vibrojax.stepping.prepared_rigs import prepare, rigs_of
+from vibrojax.sweep.swept_lanes import sweep_rigs
 
 RANGE = 1.0, 1.32
 
@@ -66,7 +67,8 @@ def test_none_is_found_that_lies_too_far_or_the_other_way(beam, curve):
     grid = np.arange(RANGE[0], 1.201, 0.02)
     plan = vj.SweepSettings(direction="forward").plan(beam, "frequency_ratio", grid)
     rigs = rigs_of(jax.tree.map(lambda a: a[None], as_arrays(beam)))
-    prepared, upper = prepare(plan.stepper, rigs), sweep_rigs(plan, rigs).states[0, 0, -1]
+    prepared = prepare(plan.stepper, rigs)
+    upper = sweep_rigs(plan, prepared).states[0, 0, -1]
     first = float(prepared.first_frequency[0])
     ways = np.array([0.1, 0.005, -0.1]) * first
     start = np.zeros(3, int), np.tile(upper, (3, 1)), np.full(3, grid[-1] * first)
