@@ -117,6 +117,10 @@ class RigMaker:
         index = (0,) * len(self.arguments.dimensions) if index is None else index
         return made_by(self.make, self.arguments.at(index))
 
+    def first_of(self, index: tuple[np.ndarray, ...]) -> AbstractSystem:
+        """Return the first system of a block, from concrete numbers."""
+        return self.sample(tuple(int(i[0]) for i in index))
+
     def check(self) -> None:
         """Build every value of every axis once from concrete numbers: wrong ones are refused."""
         shape = self.arguments.shape

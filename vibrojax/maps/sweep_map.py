@@ -57,7 +57,7 @@ class SweepMap(AbstractMapResponse):
 
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Sweep the rigs of a block."""
-        sample = maker.sample(tuple(int(i[0]) for i in index))
+        sample = maker.first_of(index)
         plan = self.settings.plan(sample, grid.axis, grid.values)
         prepared = maker.prepared(index, plan.stepper, lambda kinds: compile_ahead(plan, kinds))
         swept = sweep_rigs(plan, prepared)
