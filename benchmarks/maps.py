@@ -34,13 +34,14 @@ def engine() -> float:
     """Seconds of the bare engine for the lanes of AXES, the rigs already built."""
     from vibrojax.ensemble.arguments import arguments_of
     from vibrojax.maps.rig_maker import RigMaker
+    from vibrojax.stepping.prepared_rigs import prepare
     from vibrojax.sweep.swept_lanes import sweep_rigs
 
     maker = RigMaker(vj.default_rig, arguments_of(vj.default_rig, (), AXES))
     rigs = maker.rigs(tuple(np.arange(len(v)) for v in AXES.values()))
     plan = SWEEP.plan(maker.sample(), "frequency_ratio", RATIOS)
     started = time.perf_counter()
-    sweep_rigs(plan, rigs)
+    sweep_rigs(plan, prepare(plan.stepper, rigs))
     return time.perf_counter() - started
 
 

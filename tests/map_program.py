@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.sweep import swept_lanes
+from vibrojax.maps import rig_maker
 
 
 def oscillator(natural, gap=3e-3):
@@ -64,14 +64,14 @@ def main():
     # A hang ends, and says where.
     faulthandler.dump_traceback_later(120, exit=True)
     used = Counter()
-    prepare = swept_lanes.prepare
+    prepare = rig_maker.prepare
 
     def noted(*arguments):
         prepared = prepare(*arguments)
         used.update(d.id for d in prepared.first_frequency.devices())
         return prepared
 
-    swept_lanes.prepare = noted
+    rig_maker.prepare = noted
     make_map(sys.argv[1], int(sys.argv[2]))
     print(json.dumps(used))
 

@@ -231,7 +231,7 @@ def test_a_motion_that_touches_from_the_start():
 
 
 def test_comparing_refuses():
-    rig = vj.default_rig(num_modes=2)
+    rig = vj.default_rig(num_modes=1)
     branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.7, 0.8))
     other = vj.frequency_sweep(rig, frequency=[10.0, 12.0], progress=False)
     with pytest.raises(ValueError, match="compare them along the same axis"):

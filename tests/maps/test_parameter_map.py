@@ -281,7 +281,7 @@ def test_wrong_input_is_refused_before_anything_is_computed(monkeypatch, argumen
     def computed(*_, **__):
         raise AssertionError("something was computed")
 
-    monkeypatch.setattr("vibrojax.maps.sweep_map.sweep_rigs", computed)
+    monkeypatch.setattr("vibrojax.maps.rig_maker.RigMaker.rigs", computed)
     with pytest.raises(ValueError, match=sentence):
         vj.parameter_map(rig, frequency_ratio=GRID, **arguments)
 

@@ -89,9 +89,9 @@ def check_positive(name: str, value: Any, unit: str, advice: str = "") -> None:
     check_range(name, value, 0.0, include_low=False, allowed=f"above 0 {unit}", advice=advice)
 
 
-def check_not_negative(name: str, value: Any, unit: str, advice: str = "") -> None:
+def check_not_negative(name: str, value: Any, unit: str) -> None:
     """Raise `ValueError` unless the value is finite and at least 0."""
-    check_range(name, value, 0.0, allowed=f"at least 0 {unit}", advice=advice)
+    check_range(name, value, 0.0, allowed=f"at least 0 {unit}")
 
 
 def check_one(name: str, value: Any, unit: str, advice: str = "") -> None:

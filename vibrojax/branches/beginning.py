@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.branches.contacts import Contacts, at_section, best_section
+from vibrojax.branches.contacts import Contacts, best_section
 from vibrojax.branches.continuation import Ending
 from vibrojax.branches.curve_search import ACCURATE, CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Steps, at_value, fits
@@ -39,11 +39,9 @@ def motion_near(search: CurveSearch, state: Float[np.ndarray, " states"], value:
         contacts, times = seen.contacts, seen.times
         met = replace(guess, contacts=contacts, times=times, times_along=0 * times)
         section = best_section(contacts, times, search.whole)
-        section += search.whole if section < contacts.section else 0.0
-        (seen,) = yield Look([met], [section])
-        contacts, times, _ = at_section(contacts, times, section, search.whole)
-        guess = replace(met, contacts=contacts, times=times, state=seen.at_section)
-        found = yield at_value(contacts, times, guess.state, value)
+        contacts, times, state, _ = yield from search.from_phase(met, section)
+        guess = replace(met, contacts=contacts, times=times, state=state)
+        found = yield at_value(contacts, times, state, value)
         if not np.isfinite(found.error):
             return None
         if search.is_sound(found) and found.error <= ACCURATE:

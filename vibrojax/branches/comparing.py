@@ -1,8 +1,10 @@
 """A sweep beside the branch of the same system, and isolas of it: which of its points are on it."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from vibrojax.branches.points import BranchPoints
 from vibrojax.branches.resampling import resample
@@ -15,6 +17,21 @@ if TYPE_CHECKING:
 SAME = 1e-6
 """Relative difference up to which two motions are one."""
 COMPARED = ("amplitude_ratio", "rms_ratio", "contact_force")
+
+
+def relative_difference(
+    passages: "xarray.Dataset", motions: Mapping[str, Float[np.ndarray, "..."]]
+) -> Float[np.ndarray, "..."]:
+    """Largest relative difference of motions from passages of a branch, those along the last axis.
+
+    NaN where there is no passage.
+    """
+    differences = []
+    for name in COMPARED:
+        own = motions[name]
+        size = np.maximum(np.abs(own), np.max(np.abs(own), initial=0.0) * 1e-3)
+        differences.append(np.abs(passages[name].values - own) / np.where(size, size, 1.0))
+    return np.maximum.reduce(differences)
 
 
 def compare(branch: BranchPoints, sweep: FrequencyResponse) -> "xarray.Dataset":
@@ -36,13 +53,9 @@ def compare(branch: BranchPoints, sweep: FrequencyResponse) -> "xarray.Dataset":
     inside = (values >= low) & (values <= high)
     differences = np.full((swept.sizes["direction"], len(values)), np.nan)
     if inside.any():
+        own = {n: swept[n].transpose(*dims).values[:, inside, None] for n in COMPARED}
         pieces = [resample(piece, values[inside]) for piece in (branch, *branch.isolas)]
-        far: float | np.ndarray = 0.0
-        for name in COMPARED:
-            own = swept[name].transpose(*dims).values[:, inside, None]
-            size = np.maximum(np.abs(own), np.max(np.abs(own), initial=0.0) * 1e-3)
-            passages = np.concatenate([piece[name].values for piece in pieces], axis=-1)
-            far = np.maximum(far, np.abs(passages - own) / np.where(size, size, 1.0))
+        far = np.concatenate([relative_difference(piece, own) for piece in pieces], axis=-1)
         least = np.where(np.isnan(far), np.inf, far).min(axis=-1, initial=np.inf)
         same = swept["period"].transpose(*dims).values[:, inside] == branch.period
         differences[:, inside] = np.where(same, least, np.nan)

@@ -86,10 +86,8 @@ class CurveSearch:
         """
         if last.contacts.stops != found.contacts.stops:
             return False
-        before, after = pairs(last.contacts, last.times), pairs(found.contacts, found.times)
-        for pair, other in zip(before, after, strict=True):
-            lasted, lasts = np.ptp(pair.times), np.ptp(other.times)
-            shrinks = last.times_along[pair.places[1]] < last.times_along[pair.places[0]]
+        for (i, j), lasted, lasts in _durations(last, found):
+            shrinks = last.times_along[j] < last.times_along[i]
             bounces = ahead and shrinks and lasts > BOUNCED * lasted
             if lasts < COLLAPSED * lasted or bounces:
                 return True
@@ -102,12 +100,9 @@ class CurveSearch:
         """
         if last.contacts != found.contacts:
             return False
-        for pair, other in zip(
-            pairs(last.contacts, last.times), pairs(found.contacts, found.times), strict=True
-        ):
-            lasted, (i, j) = np.ptp(pair.times), pair.places
-            change = np.ptp(other.times) - lasted
-            rates = last.times_along + found.times_along
+        rates = last.times_along + found.times_along
+        for (i, j), lasted, lasts in _durations(last, found):
+            change = lasts - lasted
             if abs(change) > SWELLED * lasted and change * (rates[j] - rates[i]) < 0:
                 return True
         return False
@@ -120,12 +115,17 @@ class CurveSearch:
         cut = yield from self.cut_at(motion, section)
         return motion if cut is None else cut
 
-    def cut_at(self, motion: OnCurve, section: float) -> Steps:
-        """Cut a motion at another drive phase; None where that does not work."""
+    def from_phase(self, motion: OnCurve, section: float) -> Steps:
+        """Contacts, times, state of a motion from another section on; old places of the times."""
         if section < motion.contacts.section:
             section += self.whole
         (seen,) = yield Look([motion], [section])
         contacts, times, order = at_section(motion.contacts, motion.times, section, self.whole)
+        return contacts, times, seen.at_section, order
+
+    def cut_at(self, motion: OnCurve, section: float) -> Steps:
+        """Cut a motion at another drive phase; None where that does not work."""
+        contacts, times, state, order = yield from self.from_phase(motion, section)
         by_times, by_parameter = motion.times_along[order], motion.parameter_along / self.scale**2
         length = max(float(np.max(np.abs(by_times), initial=0.0)), abs(by_parameter), 1e-300)
         by_times, by_parameter = by_times / length, by_parameter / length
@@ -133,7 +133,7 @@ class CurveSearch:
             Ask(
                 contacts,
                 times,
-                seen.at_section,
+                state,
                 motion.parameter,
                 by_times=by_times,
                 by_parameter=by_parameter,
@@ -145,3 +145,9 @@ class CurveSearch:
         found = replace(found, family=motion.family, way=motion.way)
         forward = found.times_along @ by_times + found.parameter_along * by_parameter
         return found if forward >= 0 else found.reversed()
+
+
+def _durations(a: OnCurve, b: OnCurve) -> list[tuple[tuple[int, int], float, float]]:
+    """Places of the contacts of two motions with the same ones, and how long each lasts in both."""
+    both = zip(pairs(a.contacts, a.times), pairs(b.contacts, b.times), strict=True)
+    return [(one.places, np.ptp(one.times), np.ptp(other.times)) for one, other in both]

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from vibrojax._tools.compiled import compiled
@@ -18,12 +17,11 @@ from vibrojax._tools.signatures import validated
 from vibrojax.branches.points import SpecialPoint
 from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.steady.contact_times import Events, Orbit, follow_events
+from vibrojax.steady.exact_point import sampled_guess
 from vibrojax.steady.implicit import frozen, with_columns
-from vibrojax.steady.orbit_reading import find_crossings, read_motion
+from vibrojax.steady.orbit_reading import read_motion
 from vibrojax.steady.paths import FrequencyPath, frequency_path
-from vibrojax.steady.starting import sampled_motion
 from vibrojax.stepping.choice import is_exact
-from vibrojax.stepping.measures import MOST_EVENTS
 
 lax = jax.lax
 
@@ -139,12 +137,7 @@ def _search(system, state, value, is_ratio) -> Any:
     """Newton's method on motion, frequency and singularity; no derivatives."""
     path = frequency_path(system, is_ratio, True)
     assert path.phases is not None
-    depth, change, states = sampled_motion(path, value, state, 1, True)
-    found = find_crossings(depth, change, MOST_EVENTS, 1)
-    angle = 2 * np.pi * jnp.arange(states.shape[0]) / states.shape[0]
-    nearest = jnp.argmin(jnp.abs(angle - found.events.section))
-    events = found.events._replace(section=angle[nearest])
-    start = states[nearest]
+    events, (start, times), _ = sampled_guess(path, value, state, 1)
     size = jnp.linalg.norm(start * path.phases.weight) / path.phases.weight
     unknown = jnp.append(start / size, value)
     blank = jnp.zeros((2, start.size))
@@ -152,7 +145,7 @@ def _search(system, state, value, is_ratio) -> Any:
 
     # Bordered by the singular vectors of the first matrix, the measure is well scaled.
     def first_matrix(x):
-        orbit = Orbit(x * size, found.times)
+        orbit = Orbit(x * size, times)
         return follow_events(path.tables(value), events, orbit, 1).end / size
 
     matrix = jax.jacfwd(first_matrix)(unknown[:-1])
@@ -175,7 +168,7 @@ def _search(system, state, value, is_ratio) -> Any:
         return (unknown, jnp.where(last, times, now), jacobian, error), None
 
     n = unknown.size
-    carry = unknown, found.times, jnp.zeros((n, n)), jnp.asarray(jnp.inf)
+    carry = unknown, times, jnp.zeros((n, n)), jnp.asarray(jnp.inf)
     rounds = jnp.arange(STEPS + 1) == STEPS
     (unknown, times, jacobian, error), _ = lax.scan(newton, carry, rounds)
     return frame, times, unknown, jacobian, error

@@ -7,14 +7,13 @@ same sheet of solutions, stable or not, where they pass the gaps that the rig ha
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from vibrojax.branches.beginning import motion_near, reach
-from vibrojax.branches.comparing import COMPARED, SAME
+from vibrojax.branches.comparing import COMPARED, SAME, relative_difference
 from vibrojax.branches.exact_branches import walk_from
 from vibrojax.branches.exact_results import between, columns_of_motions, motions_at, walk_of
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
@@ -55,21 +54,14 @@ def isolas_of(plan: Plan, branch: BranchPoints) -> list[BranchPoints]:
     found: list[BranchPoints] = []
     known = [resample(branch, values)]
     for value, state, numbers in _solved(plan, rigs, candidates):
-        if any(_is_of(there, value, numbers) for there in known):
+        at_value = {branch.axis: value}
+        if any((relative_difference(each.sel(at_value), numbers) <= SAME).any() for each in known):
             continue
         other = walk_from(plan, branch.path, state, value)
         if other is not None and len(other.values) > 1:
             found.append(replace(other, labels=branch.labels))
             known.append(resample(other, values))
     return found
-
-
-def _is_of(there: Any, value: float, numbers: np.ndarray) -> bool:
-    """Whether a motion is one of those of a branch at its value."""
-    own = there.sel({there.amplitude_ratio.dims[0]: value})
-    each = np.array([own[name].values for name in COMPARED])
-    size = np.where(numbers == 0, 1.0, np.abs(numbers))[:, None]
-    return bool((np.abs(each - numbers[:, None]) <= SAME * size).all(axis=0).any())
 
 
 def _motions_of(
@@ -158,7 +150,7 @@ def _passed(walk: Walk, start: OnCurve, way: float) -> Steps:
 
 def _solved(
     plan: Plan, rigs: CurveRigs, candidates: list[Candidate]
-) -> list[tuple[float, np.ndarray, np.ndarray]]:
+) -> list[tuple[float, np.ndarray, dict[str, np.ndarray]]]:
     """Solve for motions near candidates: their values, states, and what tells them apart."""
     if not candidates:
         return []
@@ -177,5 +169,5 @@ def _solved(
         return []
     motions, seen = [m for m, _ in both], [s for _, s in both]
     columns = columns_of_motions(rigs.paths, 0, motions, seen, plan.period)
-    numbers = np.array([columns[name] for name in COMPARED]).T
+    numbers = [{name: columns[name][k] for name in COMPARED} for k in range(len(motions))]
     return list(zip(columns["values"].tolist(), columns["initial_state"], numbers, strict=True))

@@ -43,14 +43,6 @@ class Special(NamedTuple):
 Number = Callable[[OnCurve], float]
 
 
-def _turning(motion: OnCurve) -> float:
-    return motion.parameter_along
-
-
-def _doubling(motion: OnCurve) -> float:
-    return float(doubling_test(motion.multipliers[None])[0])
-
-
 def _sizes(motion: OnCurve) -> Float[np.ndarray, " states"]:
     """Moduli of the multipliers, the largest first."""
     return np.sort(np.abs(motion.multipliers))[::-1]
@@ -63,15 +55,14 @@ def _crossing(place: int) -> Number:
 
 def _numbers(a: OnCurve, b: OnCurve) -> dict[str, Number]:
     """Numbers that pass zero between two motions where there is a special point, by kind."""
-    numbers: dict[str, Number] = {"fold": _turning, "period_doubling": _doubling}
+    numbers: dict[str, Number] = {
+        "fold": lambda motion: motion.parameter_along,
+        "period_doubling": lambda motion: float(doubling_test(motion.multipliers)),
+    }
     outside = sorted(int(np.sum(_sizes(motion) > 1)) for motion in (a, b))
     if outside[1] - outside[0] >= 2:
         numbers["neimark_sacker"] = _crossing(outside[0])
     return numbers
-
-
-def _on_circle(motion: OnCurve) -> bool:
-    return bool(on_circle(motion.multipliers[None], NEAR_CIRCLE)[0])
 
 
 def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
@@ -139,7 +130,7 @@ def _refined(
             return None  # multipliers jump there
         kind, motion, refined = "touch_fold", walk.points[stretch.touch.at], True
     motion = motion or walk.points[k]
-    if kind == "neimark_sacker" and not _on_circle(motion):
+    if kind == "neimark_sacker" and not on_circle(motion.multipliers, NEAR_CIRCLE):
         return None
     (seen,) = yield Look([motion])
     return Special(kind, motion, seen, k, refined)

@@ -61,57 +61,67 @@ class Walk:
         here = yield from self.search.cut_well(start.reversed() if turns else start)
         (seen,) = yield Look([here])
         self.add(here, seen)
-        begun, step, room, ahead = start.parameter, FIRST, 4, []
+        begun, step, room = start.parameter, FIRST, 4
         tries, reached, bounds = 0, 0, (self.low, self.high)
         while True:
+            found = yield from self.look_ahead(step, room)
+            if found is None:
+                return Ending.running
+            ahead, step, goal = found
             if len(self.points) > reached:
                 tries, reached = 0, len(self.points)
+            count = yield from self.verify(ahead)
+            if isinstance(count, Ending):
+                return count
+            last = self.points[-1]
+            if count < len(ahead):
+                bad, seen = ahead[count], self.refused
+                assert seen is not None  # of the first that does not fit
+                room, apart = 4, max(bad.way, 2 * SHORTEST)
+                passing = touch_between(self.search, last, bad, seen, apart, bounds)
+                shorter = apart / 4
+            elif goal is not None:
+                return Ending.turned_back if goal == begun else Ending.completed
+            else:
+                full, room = len(ahead) == room, min(2 * room, MOST_AHEAD)
+                if full:
+                    continue
+                passing, shorter = vanish(self.search, last, step, bounds), step / 2.5
+            came = self.take((yield from passing))
+            tries += 1
+            step = FIRST / 2 if came else shorter
+            if step < SHORTEST or tries > MOST_TRIES:
+                return Ending.stuck
+
+    def look_ahead(self, step: float, room: int) -> Steps:
+        """Solve for up to `room` motions: those, the step behind them, the end of the range met.
+
+        There are fewer where no step is short enough: a contact begins or ends there. None where
+        there would be more points than allowed.
+        """
+        ahead: list[OnCurve] = []
+        while len(self.points) + len(ahead) <= self.max_points:
             last = ahead[-1] if ahead else self.points[-1]
-            if len(self.points) + len(ahead) > self.max_points:
-                return Ending.running
             found, next_step, goal = yield from self.further(last, step)
-            if found is None and not closing(last, step):
+            if found is not None:
+                ahead.append(found)
+                step = next_step
+                if goal is not None or len(ahead) == room:
+                    return ahead, step, goal
+                continue
+            if not closing(last, step):
                 step *= 0.4
                 if step >= SHORTEST:
                     continue
+                bounds = self.low, self.high
                 came = None if ahead else (yield from by_duration(self.search, last, bounds))
                 if came is not None:
                     self.add(*came)
                     step = max(2 * came[0].way, 10 * SHORTEST)
                     continue
                 step = SHARP  # a contact may end within that
-            if found is not None:
-                ahead.append(found)
-            if found is not None and goal is None and len(ahead) < room:
-                step = next_step
-                continue
-            count = yield from self.verify(ahead)
-            if isinstance(count, Ending):
-                return count
-            if count < len(ahead):
-                last, bad, seen = self.points[-1], ahead[count], self.refused
-                assert seen is not None  # of the first that does not fit
-                apart = max(bad.way, 2 * SHORTEST)
-                ahead, room = [], 4
-                came = self.take(
-                    (yield from touch_between(self.search, last, bad, seen, apart, bounds))
-                )
-                tries += 1
-                step = FIRST / 2 if came else apart / 4
-                if step < SHORTEST or tries > MOST_TRIES:
-                    return Ending.stuck
-                continue
-            room, ahead = min(2 * room, MOST_AHEAD), []
-            if goal is not None:
-                return Ending.turned_back if goal == begun else Ending.completed
-            if found is not None:
-                step = next_step
-                continue
-            came = self.take((yield from vanish(self.search, self.points[-1], step, bounds)))
-            tries += 1
-            step = FIRST / 2 if came else step / 2.5
-            if step < SHORTEST or tries > MOST_TRIES:
-                return Ending.stuck
+            return ahead, step, None
+        return None
 
     def add(self, motion: OnCurve, seen: Seen) -> None:
         """Take a motion as a point of the curve."""

@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 NOTE = "A still picture: the sliders are there where the notebook runs (in Jupyter, ipywidgets)."
 
 
-METHODS = ("branch", "curve", "figure", "orbit", "save", "system")
-
-
 class Explorer:
     """A frequency response with sliders, as `explore` makes it.
 

@@ -75,7 +75,6 @@ class Passed(NamedTuple):
     end: Float[AnyArray, "lanes states"]
     """State after the period of the motion."""
     derivative: Float[AnyArray, "lanes size directions"]
-    end_derivative: Float[AnyArray, "lanes states directions"]
 
 
 def rig_of(system: Any, plan: Plan, frequency, release) -> Rig:
@@ -255,9 +254,9 @@ def pass_through(rigs: Rig, slopes: Rig, plan: Plan, time, state, shift, period)
             unit[:, numbers],
             unit[:, numbers + 1 :] if settled else jnp.zeros((rows, state.size)),
         )
-        (values, end), (d, e) = jax.vmap(
+        (values, end), (derivative, _) = jax.vmap(
             lambda t: jax.jvp(model, (rig, shift, state), t), out_axes=(None, -1)
         )(tangents)
-        return Passed(values, end, d, e)
+        return Passed(values, end, derivative)
 
     return jax.vmap(one)(rigs, slopes, time, state, shift, period)

@@ -44,13 +44,6 @@ class WhatNext:
         """The most informative point."""
         return self.candidates[0]
 
-    def by_change(self) -> dict[tuple[tuple[str, float], ...], Candidate]:
-        """The most informative point of every rig that could be measured."""
-        best: dict[tuple[tuple[str, float], ...], Candidate] = {}
-        for c in self.candidates:
-            best.setdefault(tuple(c.changes.items()), c)
-        return best
-
     def __repr__(self) -> str:
         lines = [f"WhatNext(to sharpen {self.name}, the most informative points)"]
         for c in self.candidates[:5]:

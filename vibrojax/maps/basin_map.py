@@ -86,7 +86,7 @@ class BasinFractions(AbstractMapResponse):
 
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Find the attractors of every point of a block."""
-        sample = maker.sample(tuple(int(i[0]) for i in index))
+        sample = maker.first_of(index)
         states = self.starts.states(sample.equations())
         poincare = PoincareMap(self.settings.stepper_of(sample, grid.axis), maker.rigs(index))
         found = attractors_over(poincare, grid.axis, grid.values, states, self.settings)

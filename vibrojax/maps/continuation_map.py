@@ -64,7 +64,7 @@ class ContinuationMap(AbstractMapResponse):
 
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Follow the branches of a block."""
-        sample = maker.sample(tuple(int(i[0]) for i in index))
+        sample = maker.first_of(index)
         lanes = int(np.prod([len(i) for i in index], dtype=int))
         plan = self._plan(sample, grid, lanes)
         paths = frequency_paths(maker.systems(index), grid.axis == "frequency_ratio", plan.exact)

@@ -23,8 +23,9 @@ from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.template import DIFFERENTIATED
 from vibrojax.steady.batches import in_batches, take_rigs
 from vibrojax.steady.paths import frequency_path
+from vibrojax.stepping.measures import ratios_of
+from vibrojax.stepping.prepared_rigs import Prepared, Rigs, prepare
 from vibrojax.stepping.stepper import AbstractStepper
-from vibrojax.sweep.swept_lanes import Prepared, Rigs, prepare, ratios_of
 
 FOLD_WIDTH = 16
 """Folds differentiated side by side."""

@@ -92,7 +92,7 @@ class RegimeMap(AbstractMapResponse):
 
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Carry the rigs of a block along the frequencies."""
-        sample = maker.sample(tuple(int(i[0]) for i in index))
+        sample = maker.first_of(index)
         poincare = PoincareMap(self.march_stepper(sample, grid), maker.rigs(index))
         ways = DIRECTIONS[self.settings.direction]
         lanes, size = poincare.weight.shape

@@ -20,7 +20,7 @@ from vibrojax.results.status import Status
 from vibrojax.stepping.stepper import AbstractStepper
 from vibrojax.sweep.frequency_response import CURVES
 from vibrojax.sweep.settings import SweepSettings
-from vibrojax.sweep.swept_lanes import before_jumps, numbers_of_jumps, sweep_rigs
+from vibrojax.sweep.swept_lanes import before_jumps, compile_ahead, numbers_of_jumps, sweep_rigs
 
 
 class SweepMap(AbstractMapResponse):
@@ -57,8 +57,10 @@ class SweepMap(AbstractMapResponse):
 
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Sweep the rigs of a block."""
-        sample = maker.sample(tuple(int(i[0]) for i in index))
-        swept = sweep_rigs(self.settings.plan(sample, grid.axis, grid.values), maker.rigs(index))
+        sample = maker.first_of(index)
+        plan = self.settings.plan(sample, grid.axis, grid.values)
+        prepared = maker.prepared(index, plan.stepper, lambda kinds: compile_ahead(plan, kinds))
+        swept = sweep_rigs(plan, prepared)
         jumps = numbers_of_jumps(swept)
         curves = swept.curves
         settled = curves["status"] == Status.settled.value

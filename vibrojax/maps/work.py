@@ -102,7 +102,7 @@ class MapWork:
         self, block: Block, computed: Computed, curves: dict, shared: dict
     ) -> dict[str, np.ndarray]:
         spec = self.spec
-        sample = self.maker.sample(tuple(int(i[0]) for i in block.indices))
+        sample = self.maker.first_of(block.indices)
         stepper = spec.response.march_stepper(sample, spec.grid)
         if not isinstance(stepper, LinearlyImplicit):  # whose orbits are those of their own steps
             stepper = choose_stepper(sample, None, GRADIENT_TOLERANCE, None)

@@ -211,7 +211,8 @@ def draw_cells(
         for name, number in marked if variable != "status" else ():
             _mark(axes, regime == number, name, name, across)
     shown = words.on_curves or variable == "lane_status"
-    if not shown and "lane_status" in panel and _alike(panel, "lane_status", variable):
+    has_status = "lane_status" in panel and {*panel.lane_status.dims} == {*panel[variable].dims}
+    if has_status and not shown:
         lanes = np.where(blank, 0, cells(panel, "lane_status", y, x))
         flags = flags_of(panel["lane_status"])
         for name in MARKS:
@@ -219,10 +220,6 @@ def draw_cells(
             _mark(axes, lanes == flags.get(name, -1), name, label, across)
     axes.set(xlim=x.edges[[0, -1]], ylim=y.edges[[0, -1]])
     scale_axes(axes, x, y)
-
-
-def _alike(panel: xarray.Dataset, one: str, other: str) -> bool:
-    return set(panel[one].dims) == set(panel[other].dims)
 
 
 def _draw_jumps(axes: Axes, panel: xarray.Dataset, across: tuple[MapAxis, MapAxis]) -> np.ndarray:

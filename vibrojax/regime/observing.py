@@ -16,8 +16,8 @@ from vibrojax.model.systems import Motion
 from vibrojax.regime.poincare_map import Numbers, Places, PoincareMap, States, in_chunks
 from vibrojax.regime.settings import HIGHEST_ORDER
 from vibrojax.steady.batches import take
+from vibrojax.stepping.prepared_rigs import Rigs
 from vibrojax.stepping.stepper import AbstractStepper, ExactContact, with_traced_numbers
-from vibrojax.sweep.swept_lanes import Rigs
 
 lax = jax.lax
 

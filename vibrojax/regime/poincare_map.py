@@ -21,8 +21,9 @@ from vibrojax.steady.growth import ALIGNING, drive_period
 from vibrojax.steady.observed import iterated, observe
 from vibrojax.steady.pool_programs import WIDTHS
 from vibrojax.steady.settling import APERIODIC_PERIODS
+from vibrojax.stepping.measures import ratios_of
+from vibrojax.stepping.prepared_rigs import Prepared, Rigs, prepare
 from vibrojax.stepping.stepper import AbstractMarch, AbstractStepper
-from vibrojax.sweep.swept_lanes import Prepared, Rigs, prepare, ratios_of
 
 lax = jax.lax
 

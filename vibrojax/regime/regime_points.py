@@ -15,9 +15,9 @@ from vibrojax.regime.poincare_map import Numbers, PoincareMap, Report
 from vibrojax.regime.settings import BasinSettings, RegimeSettings
 from vibrojax.results.status import Status
 from vibrojax.steady.kinds import Regime, regime_of
+from vibrojax.stepping.prepared_rigs import rigs_of
 from vibrojax.stepping.resonance import is_unbounded
 from vibrojax.stepping.stepper import AbstractStepper
-from vibrojax.sweep.swept_lanes import rigs_of
 
 SWEPT = (
     "amplitude_ratio",

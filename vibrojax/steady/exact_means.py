@@ -46,12 +46,11 @@ def _terms(tables: Tables, motion: PiecewiseMotion, segment: Int[Array, ""]) -> 
 
 
 def mean_square_and_harmonic(
-    tables: Tables, motion: PiecewiseMotion, period: int, count: Int[Array, ""] | None = None
+    tables: Tables, motion: PiecewiseMotion, period: int
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Mean square of the reported displacement and its amplitude at the drive frequency.
 
-    `count` is the number of events; without it all places are gone through, which reverse mode
-    needs. No block may be driven in resonance.
+    No block may be driven in resonance.
     """
     w = tables.angular_frequency
 
@@ -68,10 +67,8 @@ def mean_square_and_harmonic(
         harmonic = harmonic * jnp.exp(-1j * motion.start[j])
         return sums[0] + square.real * angle, sums[1] + harmonic * angle
 
-    places = motion.start.size
-    last = places if count is None else jnp.minimum(count + 1, places)
     zero = jnp.zeros_like(w)
-    square, harmonic = jax.lax.fori_loop(0, last, add, (zero, zero + 0j))
+    square, harmonic = jax.lax.fori_loop(0, motion.start.size, add, (zero, zero + 0j))
     whole = 2 * np.pi * period
     # Where the motion vanishes the modulus has no derivative.
     size = harmonic.real**2 + harmonic.imag**2

@@ -3,11 +3,15 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.types import AnyArray
 from vibrojax.steady.contact_times import Events, Orbit, PiecewiseMotion, Tables, solve_orbit
-from vibrojax.steady.orbit_reading import Reading, keeps_to_events, read_motion
+from vibrojax.steady.orbit_reading import Reading, find_crossings, keeps_to_events, read_motion
+from vibrojax.steady.paths import AbstractPath
+from vibrojax.steady.starting import sampled_motion
+from vibrojax.stepping.measures import MOST_EVENTS
 
 ACCURATE = 1e-9
 """Largest relative residual of an exact motion."""
@@ -18,12 +22,12 @@ NEAR = 0.3
 class ExactPoint(NamedTuple):
     """An exact periodic motion, with its stability."""
 
+    events: Events
     orbit: Orbit
-    residual: Float[Array, ""]
-    monodromy: Float[Array, "states states"]
-    """Jacobian of the period map at the section, in units of energy."""
+    matrix: Float[Array, "states states"]
+    """Jacobian of the period map at the section, in (q, q')."""
     multipliers: Complex[Array, " states"]
-    reading: Reading
+    residual: Float[Array, ""]
     valid: Bool[Array, ""]
 
 
@@ -36,14 +40,29 @@ class Guess(NamedTuple):
     """Whether there was room for all events."""
 
 
-def exact_point(tables: Tables, guess: Guess, period: int) -> tuple[ExactPoint, PiecewiseMotion]:
+def sampled_guess(
+    path: AbstractPath, value: Float[Array, ""], state: Float[Array, " states"], period: int
+) -> Guess:
+    """Read a guess off the march over a period from a state at drive phase 0."""
+    depth, change, states = sampled_motion(path, value, state, period, exact=True)
+    found = find_crossings(depth, change, MOST_EVENTS, period)
+    # The section is moved to the nearest sample, whose state is known.
+    angle = 2 * np.pi * period * jnp.arange(states.shape[0]) / states.shape[0]
+    nearest = jnp.argmin(jnp.abs(angle - found.events.section))
+    events = found.events._replace(section=angle[nearest])
+    return Guess(events, Orbit(states[nearest], found.times), found.number <= MOST_EVENTS)
+
+
+def exact_point(
+    tables: Tables, guess: Guess, period: int
+) -> tuple[ExactPoint, Reading, PiecewiseMotion]:
     """Turn a guess into an exact motion."""
-    events = guess.events
+    events, weight = guess.events, tables.phases.weight
     solved = solve_orbit(tables, events, guess.orbit, period)
     motion = solved.motion
     reading = read_motion(tables, events, motion, period)
-    moved = (solved.orbit.state - guess.orbit.state) * tables.phases.weight
-    extent = jnp.linalg.norm(guess.orbit.state * tables.phases.weight)
+    moved = (solved.orbit.state - guess.orbit.state) * weight
+    extent = jnp.linalg.norm(guess.orbit.state * weight)
     whole = jnp.all(jnp.isfinite(solved.jacobian)) & jnp.isfinite(solved.residual)
     valid = (
         whole
@@ -53,11 +72,12 @@ def exact_point(tables: Tables, guess: Guess, period: int) -> tuple[ExactPoint, 
         & guess.fits
     )
     matrix = jnp.where(jnp.isfinite(solved.jacobian), solved.jacobian, 0.0)
-    return ExactPoint(
+    point = ExactPoint(
+        events=events,
         orbit=solved.orbit,
-        residual=solved.residual,
-        monodromy=matrix,
+        matrix=matrix * weight / weight[:, None],
         multipliers=jnp.linalg.eigvals(matrix),
-        reading=reading,
+        residual=solved.residual,
         valid=valid,
-    ), motion
+    )
+    return point, reading, motion

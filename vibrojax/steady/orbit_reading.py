@@ -85,17 +85,8 @@ def _segment_of(
     return jnp.minimum(found, motion.stop.size - 1)
 
 
-def read_motion(
-    tables: Tables,
-    events: Events,
-    motion: PiecewiseMotion,
-    period: int,
-    count: Int[Array, ""] | None = None,
-) -> Reading:
-    """Read amplitudes, forces and contact off a motion, and check that it keeps to its events.
-
-    `count` as in `follow_events`.
-    """
+def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period: int) -> Reading:
+    """Read amplitudes, forces and contact off a motion, and check that it keeps to its events."""
     phases, stops = tables.phases, tables.phases.num_stops
     begin, whole = events.section, 2 * np.pi * period
     length = jnp.maximum(motion.stop - motion.start, 0.0)
@@ -164,7 +155,7 @@ def read_motion(
         long_enough = held & (length > 0)[:, None]
         peak = jnp.maximum(peak, jnp.max(_force(tables, at_start, long_enough.T)))
     if tables.driven is None:
-        mean_square, harmonic = mean_square_and_harmonic(tables, motion, period, count)
+        mean_square, harmonic = mean_square_and_harmonic(tables, motion, period)
     else:
         mean_square = jnp.mean(response**2)
         harmonic = 2 * jnp.hypot(*(jnp.mean(response * f(angle)) for f in (jnp.sin, jnp.cos)))

@@ -1,12 +1,11 @@
 """The periodic response itself, at one point: exact, with stability and derivatives."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import ArrayLike
 
 from vibrojax._tools.checks import check_one_number, is_traced
 from vibrojax._tools.compiled import compiled, is_alone
@@ -17,7 +16,7 @@ from vibrojax.model.states import ABOUT_STATES, as_state
 from vibrojax.model.systems import AbstractSystem, as_arrays, check_is_system, equation_kinds
 from vibrojax.steady.balanced_motion import balanced_strobes, read_balanced, solve_balance
 from vibrojax.steady.contact_times import Events, Orbit, follow_events
-from vibrojax.steady.exact_point import Guess, exact_point
+from vibrojax.steady.exact_point import ExactPoint, Guess, exact_point, sampled_guess
 from vibrojax.steady.implicit import compile_ahead, frozen, with_columns
 from vibrojax.steady.methods import HarmonicBalance, PeriodicSettings, Shooting, check_balance
 from vibrojax.steady.orbit_reading import find_crossings, read_motion, state_at
@@ -124,7 +123,7 @@ def _warn_of_guess(found: PeriodicResponse) -> None:
 
 
 @compiled(lightly=True)
-def _read_exactly(numbers, found: "_Solution", is_ratio, period, state) -> PeriodicResponse:
+def _read_exactly(numbers, found: ExactPoint, is_ratio, period, state) -> PeriodicResponse:
     system, value = numbers
     path = frequency_path(system, is_ratio, True)
     tables = path.tables(value)
@@ -158,20 +157,8 @@ def _read_exactly(numbers, found: "_Solution", is_ratio, period, state) -> Perio
     )
 
 
-class _Solution(NamedTuple):
-    """An exact motion, as constants."""
-
-    events: Events
-    orbit: Orbit
-    matrix: Float[Array, "states states"]
-    """Monodromy matrix in (q, q')."""
-    multipliers: Array
-    residual: Array
-    valid: Array
-
-
 @compiled
-def _solved_exactly(system, value, is_ratio, period: int, state) -> _Solution:
+def _solved_exactly(system, value, is_ratio, period: int, state) -> ExactPoint:
     """Find the motion and its sequence of contacts; no derivatives."""
     path = frequency_path(system, is_ratio, True)
     tables = path.tables(value)
@@ -189,25 +176,14 @@ def _solved_exactly(system, value, is_ratio, period: int, state) -> _Solution:
     else:
         if state is None:
             state = settled_motion(path, value, period, exact=True)
-        depth, change, states = sampled_motion(path, value, state, period, exact=True)
-        found = find_crossings(depth, change, MOST_EVENTS, period)
-        # The section is moved to the nearest sample, whose state is known.
-        angle = 2 * np.pi * period * jnp.arange(states.shape[0]) / states.shape[0]
-        nearest = jnp.argmin(jnp.abs(angle - found.events.section))
-        events = found.events._replace(section=angle[nearest])
-        first = Guess(events, Orbit(states[nearest], found.times), found.number <= MOST_EVENTS)
+        first = sampled_guess(path, value, state, period)
 
     def attempt(carry, _):
         guess, best = carry
-        point, motion = exact_point(tables, guess, period)
-        matrix = point.monodromy * weight / weight[:, None]
-        solution = _Solution(
-            guess.events, point.orbit, matrix, point.multipliers, point.residual, point.valid
-        )
-        best = jax.tree.map(lambda a, b: jnp.where(best.valid, a, b), best, solution)
+        point, reading, motion = exact_point(tables, guess, period)
+        best = jax.tree.map(lambda a, b: jnp.where(best.valid, a, b), best, point)
         if not path.equations.stops:
             return (guess, best), None
-        reading = point.reading
         again = find_crossings(reading.depth, reading.change, MOST_EVENTS, period)
         section = again.events.section
         there = state_at(tables, motion, section, guess.events.section, period)
@@ -215,7 +191,7 @@ def _solved_exactly(system, value, is_ratio, period: int, state) -> _Solution:
         return (following, best), None
 
     n = state.size
-    blank = _Solution(
+    blank = ExactPoint(
         first.events,
         first.orbit,
         jnp.zeros((n, n)),

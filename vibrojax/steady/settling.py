@@ -81,7 +81,7 @@ def march_until(
     frequency: Float[Array, "*lanes"],
     tolerance: Float[Array, "*#lanes"],
     max_periods: Int[ArrayLike, ""],
-    still: Int[ArrayLike, ""] = 0,
+    still: Int[ArrayLike, ""],
 ) -> Search:
     """March the lanes that are not done until their motion returns to within the tolerance.
 

@@ -28,9 +28,9 @@ LANES = 32
 """Lanes settled side by side, where there are several: other numbers compile nothing anew."""
 
 
-def stepper(exact: bool, tolerance: float = 1e-6) -> AbstractStepper:
+def stepper(exact: bool) -> AbstractStepper:
     """Return the method that suits the stops."""
-    return ExactContact(tolerance) if exact else ExponentialSplitting(max(tolerance, 1e-4))
+    return ExactContact(1e-6) if exact else ExponentialSplitting(1e-4)
 
 
 def settled_motion(
@@ -158,7 +158,7 @@ def settled_guess(
     samples: int,
     period: int,
     exact: bool,
-    state: np.ndarray | None = None,
+    state: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return spectra of motions to start from, and which lanes have one.
 

@@ -1,8 +1,10 @@
 """What is measured of a response while it is marched: extremes, means, contacts."""
 
-from typing import NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax.stepping.cubic import cubic_maximum
@@ -153,3 +155,18 @@ def no_measures(like: Float[Array, "*lanes"]) -> Measures:
     zero = jnp.zeros_like(like)
     far = jnp.full_like(like, jnp.inf)
     return Measures(zero, -far, far, zero, zero, zero, zero, zero, jnp.zeros(like.shape, jnp.int32))
+
+
+def ratios_of(m: Measures, window: Any, reference: Any, xp: ModuleType = np) -> dict[str, Any]:
+    """Turn sums over so many drive periods into variables, in arrays of numpy or of JAX."""
+    time = xp.where(m.time > 0, m.time, 1.0)
+    harmonic = xp.hypot(m.integral_with_sine, m.integral_with_cosine) * 2 / time
+    return {
+        "amplitude_ratio": (m.highest - m.lowest) / 2 / reference,
+        "peak_ratio": xp.maximum(m.highest, -m.lowest) / reference,
+        "rms_ratio": xp.sqrt(m.integral_of_square / time) / reference,
+        "first_harmonic_ratio": harmonic / reference,
+        "contact_force": m.force,
+        "contact_fraction": m.contact_time / time,
+        "contacts_per_period": m.contacts / window,
+    }

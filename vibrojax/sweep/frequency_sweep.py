@@ -15,6 +15,7 @@ from vibrojax.ensemble.frequencies import frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.ensemble.progress import progress_bar
 from vibrojax.model.systems import AbstractSystem
+from vibrojax.stepping.prepared_rigs import prepare, prepared_kinds, rigs_of
 from vibrojax.sweep.frequency_response import FrequencyResponse
 from vibrojax.sweep.settings import SweepSettings
 from vibrojax.sweep.swept_lanes import (
@@ -22,7 +23,6 @@ from vibrojax.sweep.swept_lanes import (
     Swept,
     compile_ahead,
     numbers_of_jumps,
-    rigs_of,
     sweep_rigs,
 )
 
@@ -63,9 +63,9 @@ def frequency_sweep(
     plan = (settings or SweepSettings()).plan(lanes.sample, axis, grid)
     points = len(grid) * len(plan.directions) * int(np.prod(lanes.shape))
     with progress_bar("sweep", points, progress) as bar:
-        compile_ahead(plan, rigs_of.ahead(lanes.systems))
-        rigs = rigs_of(lanes.systems)
-        swept = sweep_rigs(plan, rigs, bar.update, warn)
+        compile_ahead(plan, prepared_kinds(plan.stepper, rigs_of.ahead(lanes.systems)))
+        prepared = prepare(plan.stepper, rigs_of(lanes.systems))
+        swept = sweep_rigs(plan, prepared, bar.update, warn)
     return _result(lanes, plan, swept)
 
 

@@ -1,25 +1,19 @@
 """The engine of sweeps: rigs through a grid of frequencies in each direction, then their jumps."""
 
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from vibrojax._tools.compiled import compiled
-from vibrojax.model.drives import AbstractDrive
-from vibrojax.model.equations import AbstractEquations
-from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import LOST, Status
 from vibrojax.steady import pool_programs
 from vibrojax.steady.fold_ahead import compile_fold_ahead, folds_ahead
 from vibrojax.steady.lane_pool import LanePool, Onwards, Settled
-from vibrojax.stepping.measures import Measures
-from vibrojax.stepping.resonance import is_unbounded, unbounded_at
-from vibrojax.stepping.stepper import AbstractMarch, AbstractStepper, with_traced_numbers
+from vibrojax.stepping.measures import ratios_of
+from vibrojax.stepping.prepared_rigs import Prepared
+from vibrojax.stepping.resonance import is_unbounded
+from vibrojax.stepping.stepper import AbstractStepper
 from vibrojax.sweep.jumps import Jumps, find_jumps
 
 EXTENSIONS = 4
@@ -41,55 +35,6 @@ class SweepPlan(NamedTuple):
     settle: str
 
 
-class Rigs(eqx.Module):
-    """Equations and drives of some rigs, stacked along a leading axis."""
-
-    equations: AbstractEquations
-    drive: AbstractDrive
-
-
-class Prepared(eqx.Module):
-    """What is computed of each rig before it is swept; rigs as the trailing axis."""
-
-    march: AbstractMarch
-    first_frequency: Float[Array, "*rigs"]
-    """First natural frequency of the unstopped system, rad/s."""
-    reference: Float[Array, "*rigs"]
-    """What responses are divided by: the amplitude of the drive."""
-    resonances: Float[Array, "modes *rigs"]
-    """Drive frequencies at which the motion grows without bound, rad/s; NaN for other modes."""
-
-
-@compiled(lightly=True)
-def rigs_of(systems: AbstractSystem) -> Rigs:
-    """Compute the equations of systems that are stacked along a leading axis."""
-    return eqx.filter_vmap(lambda system: Rigs(system.equations(), system.drive))(systems)
-
-
-@compiled(lightly=True)
-def _prepare(stepper: AbstractStepper, rigs: Rigs) -> Prepared:
-    def one(rig: Rigs) -> Prepared:
-        reference, _ = rig.drive.reference
-        first = _first_frequency(rig.equations)
-        march = stepper.prepare(rig.equations, rig.drive)
-        resonances = unbounded_at(rig.equations, rig.drive)
-        return Prepared(march, first, jnp.asarray(reference), resonances)
-
-    return eqx.filter_vmap(one, out_axes=-1)(rigs)
-
-
-def _first_frequency(equations: AbstractEquations) -> Array:
-    if equations.linear_between_contacts is not None:
-        return equations.linear_between_contacts.angular_frequency[0]
-    return jnp.asarray(jnp.nan)
-
-
-def prepare(stepper: AbstractStepper, rigs: Rigs) -> Prepared:
-    """Make rigs ready to be marched."""
-    numbers = with_traced_numbers(stepper)
-    return _prepare(numbers, rigs)
-
-
 class Swept(NamedTuple):
     """States of the rigs of a sweep. Curves have the shape (rigs, directions, frequencies)."""
 
@@ -99,21 +44,6 @@ class Swept(NamedTuple):
     jumps: Jumps
     natural_frequency: Float[np.ndarray, " rigs"]
     """Hz."""
-
-
-def ratios_of(m: Measures, window: Any, reference: Any, xp: ModuleType = np) -> dict[str, Any]:
-    """Turn sums over so many drive periods into variables, in arrays of numpy or of JAX."""
-    time = xp.where(m.time > 0, m.time, 1.0)
-    harmonic = xp.hypot(m.integral_with_sine, m.integral_with_cosine) * 2 / time
-    return {
-        "amplitude_ratio": (m.highest - m.lowest) / 2 / reference,
-        "peak_ratio": xp.maximum(m.highest, -m.lowest) / reference,
-        "rms_ratio": xp.sqrt(m.integral_of_square / time) / reference,
-        "first_harmonic_ratio": harmonic / reference,
-        "contact_force": m.force,
-        "contact_fraction": m.contact_time / time,
-        "contacts_per_period": m.contacts / window,
-    }
 
 
 def _variables(arrived: Settled, reference: Float[np.ndarray, " lanes"]) -> dict[str, np.ndarray]:
@@ -213,9 +143,8 @@ class _Bisection:
         return Onwards(~done, self.frequency(k), self.state[k], same)
 
 
-def compile_ahead(plan: SweepPlan, rigs: Rigs) -> None:
+def compile_ahead(plan: SweepPlan, prepared: Prepared) -> None:
     """Compile in the background what a sweep of such rigs will run: of arrays the shapes count."""
-    prepared = _prepare.ahead(with_traced_numbers(plan.stepper), rigs)
     lanes = prepared.first_frequency.shape[0] * len(plan.directions)
     follow = plan.settle == "follow"
     pool_programs.compile_ahead(prepared.march, lanes, plan.max_period, follow)
@@ -225,13 +154,11 @@ def compile_ahead(plan: SweepPlan, rigs: Rigs) -> None:
 
 def sweep_rigs(
     plan: SweepPlan,
-    rigs: Rigs,
+    prepared: Prepared,
     report: Callable[[int], object] = lambda count: None,
     warn: Callable[[str], object] = lambda sentence: None,
 ) -> Swept:
     """Sweep all rigs; `report` takes numbers of points reached, `warn` what cannot be."""
-    compile_ahead(plan, rigs)
-    prepared = prepare(plan.stepper, rigs)
     first = np.asarray(prepared.first_frequency)
     unit = first if plan.axis == "frequency_ratio" else np.full(len(first), 2 * np.pi)
     count, ways = len(first), len(plan.directions)
