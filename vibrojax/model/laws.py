@@ -5,6 +5,7 @@ the gap: the `Stop` decides when there is contact and rounds the corner of the f
 """
 
 from abc import abstractmethod
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from vibrojax._tools.checks import (
 )
 from vibrojax._tools.described import described
 from vibrojax._tools.signatures import validated
+from vibrojax.model.restitution import approach_of, check_restitution, damping_ratio_of
 
 Values = Float[Array, "..."]
 Number = float | Values
@@ -36,6 +38,13 @@ class AbstractContactLaw(eqx.Module):
 
         `penetration` (m) is at least 0 and `rate` (m/s) is its derivative.
         """
+
+    def with_shorter_contacts(self, factor: Number) -> "AbstractContactLaw | None":
+        """Return the law stiffened so that contacts last 1/`factor` as long, as much being lost.
+
+        None for a law that does not say: what a rigid stop would do is then not estimated.
+        """
+        return None
 
     def __repr__(self) -> str:
         return described(self)
@@ -142,6 +151,36 @@ class KelvinVoigt(AbstractLinearLaw):
         check_not_negative("damping", self.damping, "N s/m")
         check_choice("tension", self.tension, (True, False))
 
+    @classmethod
+    @validated(traceable=True)
+    def from_restitution(
+        cls, restitution: Number, *, stiffness: Number, mass: Number, tension: bool = True
+    ) -> "KelvinVoigt":
+        """Make the law from which a free mass comes back with `restitution` times its speed.
+
+        So at any speed. The damping is 2 z sqrt(stiffness mass) with -ln e = pi z/sqrt(1 - z^2), or
+        without tension -ln e = 2 z arccos(z)/sqrt(1 - z^2). Numbers may be batched and
+        differentiated. Source: Nagurka and Huang 2004; Schwager and Poeschel 2007.
+
+        Parameters:
+            restitution: e, above 0 and at most 1.
+            stiffness: N/m; `check_resolution` says which is stiff enough.
+            mass: that hits the stop, kg: of a beam `mass_at` the stop.
+            tension: whether the stop may pull, and so lets go at depth 0; else at force 0.
+
+        Raises `ValueError` for a restitution outside (0, 1], or a stiffness or mass not above 0.
+        """
+        check_restitution(restitution)
+        check_positive("stiffness", stiffness, "N/m")
+        check_positive("mass", mass, "kg")
+        check_choice("tension", tension, (True, False))
+        ratio = damping_ratio_of(restitution, tension)
+        return cls(stiffness, 2 * ratio * jnp.sqrt(jnp.asarray(stiffness) * mass), tension)
+
+    def with_shorter_contacts(self, factor: Number) -> "KelvinVoigt":
+        """Return the law with stiffness times factor^2 and damping times `factor`."""
+        return replace(self, stiffness=self.stiffness * factor**2, damping=self.damping * factor)
+
     def force(self, penetration: Values, rate: Values) -> Values:
         """Return stiffness d + damping d', cut off below zero without tension."""
         force = self.stiffness * penetration + self.damping * rate
@@ -177,6 +216,10 @@ class Hertz(AbstractContactLaw):
         check_not_negative("stiffness", self.stiffness, "N/m^exponent")
         _check_exponent(self.exponent)
 
+    def with_shorter_contacts(self, factor: Number) -> "Hertz":
+        """Return the law with stiffness times factor^(exponent + 1); `factor` shortens contacts."""
+        return replace(self, stiffness=self.stiffness * factor ** (self.exponent + 1))
+
     def force(self, penetration: Values, rate: Values) -> Values:
         """Return stiffness d^exponent."""
         return self.stiffness * _power(penetration, self.exponent)
@@ -206,6 +249,35 @@ class HuntCrossley(AbstractContactLaw):
         check_not_negative("stiffness", self.stiffness, "N/m^exponent")
         check_not_negative("dissipation", self.dissipation, "s/m")
         _check_exponent(self.exponent)
+
+    @classmethod
+    @validated(traceable=True)
+    def from_restitution(
+        cls, restitution: Number, *, speed: Number, stiffness: Number, exponent: Number = 1.5
+    ) -> "HuntCrossley":
+        """Make the law from which a free mass that comes with `speed` leaves with e times that.
+
+        Slower ones come back with more, faster ones with less: the dissipation is a/(3/2 speed),
+        where a - ln(1 + a) = -e a - ln(1 - e a), whatever mass, stiffness and exponent. Numbers may
+        be batched and differentiated. Source: Hunt and Crossley 1975, eqs. 10 to 13.
+
+        Parameters:
+            restitution: e, above 0 and at most 1.
+            speed: of approach, m/s.
+            stiffness: N/m^exponent.
+            exponent: power of the penetration.
+
+        Raises `ValueError` for a restitution outside (0, 1], a speed or stiffness not above 0, or
+        an exponent outside [1, 5].
+        """
+        check_restitution(restitution)
+        check_positive("speed", speed, "m/s")
+        check_positive("stiffness", stiffness, "N/m^exponent")
+        return cls(stiffness, approach_of(restitution) / (1.5 * jnp.asarray(speed)), exponent)
+
+    def with_shorter_contacts(self, factor: Number) -> "HuntCrossley":
+        """Return the law with stiffness times factor^(exponent + 1); `factor` shortens contacts."""
+        return replace(self, stiffness=self.stiffness * factor ** (self.exponent + 1))
 
     def force(self, penetration: Values, rate: Values) -> Values:
         """Return stiffness d^exponent (1 + 3/2 dissipation d'), at least zero."""
@@ -237,6 +309,14 @@ class StandardLinearSolid(AbstractMemoryLaw):
         check_not_negative("stiffness", self.stiffness, "N/m")
         check_not_negative("maxwell_stiffness", self.maxwell_stiffness, "N/m")
         check_positive("relaxation_time", self.relaxation_time, "s")
+
+    def with_shorter_contacts(self, factor: Number) -> "StandardLinearSolid":
+        """Return the law with both stiffnesses times factor^2 and relaxation time over `factor`."""
+        return StandardLinearSolid(
+            self.stiffness * factor**2,
+            self.maxwell_stiffness * factor**2,
+            self.relaxation_time / factor,
+        )
 
     def force_with_memory(self, penetration: Values, rate: Values, memory: Values) -> Values:
         """Return stiffness d + maxwell_stiffness (d - z), at least zero."""

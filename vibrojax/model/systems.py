@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._tools.checks import name_of
+from vibrojax._tools.checks import check_index, name_of
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.described import described, in_short, shown_value
 from vibrojax._tools.signatures import check_not_traced, check_one_lane, validated
@@ -59,6 +59,33 @@ class AbstractSystem(eqx.Module):
     def flexibility_left_out(self) -> list[float] | None:
         """Static flexibility at each stop that the coordinates lack, m/N; None: not known."""
         return None
+
+    @validated(traceable=True)
+    def mass_at(self, stop: int = 1, modes: int | None = None) -> Float[Array, ""]:
+        """Return the mass that a sudden force at a stop has to move, kg: 1 / sum of phi^2/m.
+
+        It is what `KelvinVoigt.from_restitution` asks for. It does not depend on laws and gaps, and
+        can be differentiated.
+
+        Parameters:
+            stop: number of the stop, from 1.
+            modes: how many modes count, from the lowest: those whose periods are short beside the
+                contact do not. None: all that are kept.
+
+        Raises `ValueError` for a system that is not linear between contacts, or a number of a stop
+        or of modes that it does not have.
+        """
+        equations = equations_of(as_arrays(self)).linear_between_contacts
+        if equations is None:
+            raise ValueError(
+                f"mass_at is for systems that are linear between contacts, got {in_short(self)}. "
+                "Give mass= as a number."
+            )
+        check_index("stop", stop, len(equations.stops), first=1)
+        if modes is not None:
+            check_index("modes", modes, equations.size, first=1)
+        per_force = equations.stop_map[stop - 1, :modes] * equations.force_map[:modes, stop - 1]
+        return 1 / jnp.sum(per_force)
 
     def modal_coordinates(self, displacement: Displacement) -> Float[Array, " coordinates"]:
         """Return the coordinates q of a displacement, or q' of a velocity.
