@@ -49,6 +49,7 @@ from vibrojax.model.elastic_pendulum import Limiters as Limiters
 from vibrojax.model.elastic_pendulum import default_pendulum as default_pendulum
 from vibrojax.model.examples import default_rig as default_rig
 from vibrojax.model.impacting_beam import ImpactingBeam as ImpactingBeam
+from vibrojax.model.joined import Joined as Joined
 from vibrojax.model.laws import Hertz as Hertz
 from vibrojax.model.laws import HuntCrossley as HuntCrossley
 from vibrojax.model.laws import KelvinVoigt as KelvinVoigt

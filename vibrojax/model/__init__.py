@@ -9,5 +9,6 @@ from vibrojax.model.laws import AbstractLinearLaw as AbstractLinearLaw
 from vibrojax.model.laws import AbstractMemoryLaw as AbstractMemoryLaw
 from vibrojax.model.matrix_system import MatrixModes as MatrixModes
 from vibrojax.model.modes import Modes as Modes
+from vibrojax.model.oscillator import Oscillator as Oscillator
 from vibrojax.model.systems import AbstractSystem as AbstractSystem
 from vibrojax.model.systems import Motion as Motion

@@ -56,6 +56,16 @@ class AbstractSystem(eqx.Module):
         """
         raise ValueError("release is for an ImpactingBeam: give initial_state instead.")
 
+    def with_stops(
+        self, stops: tuple[Stop, ...], stop_map: Float[Array, "stops coordinates"] | None = None
+    ) -> "AbstractSystem":
+        """Return the system with further `stops`, which come last in its equations.
+
+        `stop_map` places them on a system without places. Raises `ValueError` for a system that is
+        not linear between contacts.
+        """
+        raise ValueError(f"A {type(self).__name__} takes no further stops: it cannot be joined.")
+
     def flexibility_left_out(self) -> list[float] | None:
         """Static flexibility at each stop that the coordinates lack, m/N; None: not known."""
         return None
@@ -81,6 +91,8 @@ class AbstractSystem(eqx.Module):
                 f"mass_at is for systems that are linear between contacts, got {in_short(self)}. "
                 "Give mass= as a number."
             )
+        if not equations.stops:
+            raise ValueError("mass_at needs a stop, and this system has none. Give it one.")
         check_index("stop", stop, len(equations.stops), first=1)
         if modes is not None:
             check_index("modes", modes, equations.size, first=1)
@@ -172,6 +184,15 @@ def check_made(make: Any, made: Any) -> None:
         raise ValueError(f"{name_of(make)} must return a system, got {in_short(made)}.")
     check_one_lane("system", made)
     check_not_traced("This study", "system", made)
+
+
+def check_without_places(of: str, stops: tuple[Stop, ...], advice: str) -> None:
+    """Raise `ValueError` where a stop of a system without places has one."""
+    for stop in stops:
+        if stop.position is not None:
+            raise ValueError(
+                f"position must be None for a Stop of {of}, got {stop.position!r}. {advice}"
+            )
 
 
 def check_stops_and_drive(stops: tuple[Stop, ...], drive: AbstractDrive) -> None:

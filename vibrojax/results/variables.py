@@ -36,6 +36,7 @@ VARIABLES = {
     "standard_error": Variable("1", "Standard error of the share, random starts assumed"),
     "share_low": Variable("1", "Low end of the 95 % interval of the share"),
     "share_high": Variable("1", "High end of the 95 % interval of the share"),
+    "second_displacement": Variable("m", "Displacement of the second body"),
     "mean_displacement": Variable("m", "Mean displacement"),
     "strain_power_rms": Variable("W", "RMS rate of strain energy"),
     "attractors": Variable("1", "Attractors found"),
