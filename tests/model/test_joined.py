@@ -79,6 +79,7 @@ class Pair(NamedTuple):
                 state,
                 method="DOP853",
                 rtol=1e-12,
+                max_step=0.004 / w,  # one flight lasts 80 microseconds
                 atol=1e-14,
                 events=depth,
                 dense_output=True,
@@ -140,27 +141,27 @@ def test_start_up_agrees_with_scipy(second):
     history = vj.simulate(system, frequency_ratio=ratio, periods=periods, samples_per_period=64)
     assert len(history.contacts()) >= 2
     q = in_units_of(other, system, history.coordinates)
-    np.testing.assert_allclose(q, rows[:, :2], rtol=0, atol=1e-8 * abs(rows[:, :2]).max())
+    np.testing.assert_allclose(q, rows[:, :2], rtol=0, atol=1e-9 * abs(rows[:, :2]).max())
     np.testing.assert_allclose(history.peak("contact_force").value, largest, rtol=1e-6)
     # The first reports its tip, the second where the force pushes it.
     tip = rows[:, 0] * other.pushed
-    np.testing.assert_allclose(history.displacement(), tip, rtol=0, atol=1e-8 * abs(tip).max())
+    np.testing.assert_allclose(history.displacement(), tip, rtol=0, atol=1e-9 * abs(tip).max())
     np.testing.assert_allclose(history.displacement(1.0), history.displacement(), rtol=1e-12)
     seen = history.quantity("second_displacement")
     reported = first_mode(0.19)[2](1.0) if second == "beam" else 1.0
     np.testing.assert_allclose(
-        seen, rows[:, 1] * reported, rtol=0, atol=1e-8 * abs(rows[:, 1]).max()
+        seen, rows[:, 1] * reported, rtol=0, atol=1e-9 * abs(rows[:, 1]).max()
     )
 
 
-def steady(other, system, response, ratio):
+def steady(other, system, state, ratio):
     """Half of peak to peak (m) over the force, and largest force, after one period by scipy."""
     w = ratio * other.rate[0]
-    state = np.asarray(response.initial_state)
+    state = np.asarray(state)
     state = np.concatenate([in_units_of(other, system, part) for part in (state[:2], state[2:])])
     times = np.linspace(0.0, 2 * np.pi / w, 40001)
     rows, end, largest = other.integrate(w, state, times[-1], times)
-    np.testing.assert_allclose(end, state, rtol=0, atol=1e-8 * abs(state).max())
+    np.testing.assert_allclose(end, state, rtol=0, atol=1e-9 * abs(state).max())
     return np.ptp(rows[:, 0]) / 2 * other.pushed / FORCE, largest
 
 
@@ -169,18 +170,18 @@ def steady(other, system, response, ratio):
 def test_periodic_responses_sweeps_and_branches_agree_with_scipy(second):
     system, other, ratio = SYSTEMS[second](), reference(second), 0.98
     response = vj.periodic_response(system, frequency_ratio=ratio)
-    amplitude, largest = steady(other, system, response, ratio)
+    amplitude, largest = steady(other, system, response.initial_state, ratio)
     np.testing.assert_allclose(response.amplitude_ratio, amplitude, rtol=1e-7)
     np.testing.assert_allclose(response.contact_force, largest, rtol=1e-7)
     settings = vj.SweepSettings(tolerance=1e-8)
     sweep = vj.frequency_sweep(system, frequency_ratio=[0.97, ratio], settings=settings)
     np.testing.assert_allclose(sweep.amplitude_ratio[..., -1].max(), amplitude, rtol=1e-6)
     branch = vj.continue_response(system, frequency_ratio=vj.Range(0.9, 1.0))
-    above = np.flatnonzero(np.diff(np.sign(np.asarray(branch.values) - ratio)))
-    assert len(above) == 1
-    near = branch.amplitude_ratio[above[0] : above[0] + 2]
-    assert near.min() * 0.99 < amplitude < near.max() * 1.01
-    assert all(np.asarray(branch.exact))
+    assert branch.exact
+    point = int(np.argmax(branch.contact_force))
+    amplitude, largest = steady(other, system, branch.initial_state[point], branch.values[point])
+    np.testing.assert_allclose(branch.amplitude_ratio[point], amplitude, rtol=1e-7)
+    np.testing.assert_allclose(branch.contact_force[point], largest, rtol=1e-7)
 
 
 @pytest.mark.slow
@@ -204,7 +205,7 @@ def test_a_heavy_stiff_second_body_is_a_fixed_stop():
         given = {"frequency_ratio": ratio}
         one, two = (vj.periodic_response(system, **given) for system in (fixed, held))
         assert one.contact_force > 0
-        for name in ("amplitude_ratio", "contact_force", "leading_multiplier"):
+        for name in ("amplitude_ratio", "contact_force"):
             expected = getattr(one, name)
             np.testing.assert_allclose(getattr(two, name), expected, rtol=1e-6, err_msg=name)
 

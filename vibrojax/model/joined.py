@@ -117,8 +117,8 @@ class Joined(AbstractSystem):
         bodies = {"first": self.first, "second": self.second}
         if not any(isinstance(body.drive, NoDrive) for body in bodies.values()):
             raise ValueError(
-                f"drive must be that of one body, and NoDrive of the other, got {self.first.drive!r} "
-                f"and {self.second.drive!r}. A BaseMotion of one moves both."
+                f"drive must be that of one body, with NoDrive of the other, got "
+                f"{self.first.drive!r} and {self.second.drive!r}. A BaseMotion of one moves both."
             )
         if not isinstance(self.drive, BaseMotion):
             return
