@@ -6,7 +6,7 @@ stale.
 
 import dataclasses
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -154,6 +154,20 @@ class AbstractSystem(eqx.Module):
 
     def __repr__(self) -> str:
         return described(self)
+
+
+def held_stops(system: AbstractSystem) -> list[Stop]:
+    """Return the stops that a system holds, wherever, in the order of its leaves."""
+    return [s for s in jax.tree.leaves(system, is_leaf=_is_stop) if _is_stop(s)]
+
+
+def with_changed_stops(system: SystemType, change: Callable[[Stop], Stop]) -> SystemType:
+    """Return the system with every stop that it holds changed."""
+    return jax.tree.map(lambda s: change(s) if _is_stop(s) else s, system, is_leaf=_is_stop)
+
+
+def _is_stop(node: Any) -> bool:
+    return isinstance(node, Stop)
 
 
 def as_stops(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:

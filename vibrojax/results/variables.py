@@ -83,6 +83,7 @@ VARIABLES = {
     "relative_difference": Variable("1", "Distance of the sweep from the branch"),
     "on_branch": Variable("1", "On the branch (1), not on it (0), not compared (-1)"),
     "relative_change": Variable("1", "Largest relative change when computed more finely"),
+    "rigid_error": Variable("1", "Relative error against rigid stops"),
     "periods_marched": Variable("1", "Drive periods marched to settle"),
     "steps": Variable("1", "Steps taken to settle and measure"),
     "peak_amplitude_ratio": Variable("ratio", "Peak amplitude ratio"),
