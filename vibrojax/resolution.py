@@ -102,7 +102,7 @@ class ResolutionCheck(eqx.Module):
         names = list(dict.fromkeys(n for numbers in relative.values() for n in numbers))
         changes = [[numbers.get(n, np.nan) for n in names] for numbers in relative.values()]
         table = np.reshape(np.array(changes, float), (len(relative), len(names)))
-        data = {
+        data: dict[str, Any] = {
             "relative_change": (("refinement", "number"), table, described_as("relative_change"))
         }
         if self.rigidity is not None:

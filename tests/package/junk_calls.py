@@ -120,6 +120,20 @@ CALLS = {
             input_map=[1.0],
         ),
     ),
+    "Oscillator": (vj.model.Oscillator, dict(mass=0.1, stiffness=20.0, drive=DRIVE)),
+    "Joined": (
+        vj.Joined,
+        dict(first=RIG, second=vj.model.Oscillator(0.1, 20.0), between=STOP),
+    ),
+    "KelvinVoigt.from_restitution": (
+        vj.KelvinVoigt.from_restitution,
+        dict(restitution=0.7, stiffness=1e3, mass=0.1),
+    ),
+    "HuntCrossley.from_restitution": (
+        vj.HuntCrossley.from_restitution,
+        dict(restitution=0.7, speed=0.1, stiffness=1e3),
+    ),
+    "ImpactingBeam.mass_at": (RIG.mass_at, dict(stop=1)),
     "ElasticPendulum": (vj.ElasticPendulum, SIZES),
     "LinearisedPendulum": (
         vj.LinearisedPendulum,

@@ -71,9 +71,9 @@ def with_shorter_contacts(system: SystemType, factor: float) -> SystemType | Non
 def softness_of_stops(
     system: AbstractSystem, factor: float | None, drive_period: float | None
 ) -> tuple[StopSoftness, ...]:
-    """Return how soft each stop is, and the law whose contacts are `factor` times shorter, if known.
+    """Return how soft each stop is, and the law whose contacts are `factor` times shorter.
 
-    Nothing for a system that is not linear between contacts.
+    Nothing for a system that is not linear between contacts; no law where the factor is not known.
     """
     equations = equations_of(as_arrays(system)).linear_between_contacts
     if equations is None:
