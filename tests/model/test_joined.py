@@ -326,6 +326,10 @@ def test_states_places_and_what_modes_leave_out():
         for length, place in [(0.2, 1.0), (0.19, 1.0), (0.2, 0.7), (0.2, 0.5)]
     ]
     np.testing.assert_allclose(left_out, [own[0] + own[1], own[2] + own[1], own[3]], rtol=1e-12)
+    # A third body below the first, while the places are traced.
+    third = vj.Joined(pair, vj.model.Oscillator(0.1, 10.0), vj.Stop(0.5, GAP, LAW, side=-1))
+    shape, modal = first.shape_at(0.5), first.modes().modal_mass
+    np.testing.assert_allclose(third.mass_at(), 1 / (jnp.sum(shape**2 / modal) + 10), rtol=1e-12)
     on_mass = vj.Joined(first, vj.model.Oscillator(0.1, 10.0), vj.Stop(1.0, GAP, LAW))
     np.testing.assert_allclose(on_mass.flexibility_left_out(), [own[0], own[3]], rtol=1e-12)
     assert on_mass.state((None, 2e-3))[2] == 2e-3

@@ -308,7 +308,7 @@ NUMBERS = words(
     "stiffness damping dissipation exponent maxwell_stiffness relaxation_time amplitude frequency "
     "start end duration damping_ratio tip_mass joint_damping bearing_damping gravity height "
     "distance base_amplitude limiter_height limiter_distance contact_stiffness contact_damping "
-    "joint_damping_time"
+    "joint_damping_time restitution speed"
 )
 """What a system is made of: 0 may do, batches and traced values are legal."""
 FLAGS = words(
@@ -316,7 +316,7 @@ FLAGS = words(
     "distinguish_phases keep_curves dry_run skip_unusable"
 )
 MAKERS = {n for n, (function, _) in CALLS.items() if inspect.isclass(function)}
-MAKERS |= {"default_rig", "default_pendulum"}
+MAKERS |= {"default_rig", "default_pendulum"} | {n for n in CALLS if "from_restitution" in n}
 SIGNED = words("barrier release direction")
 LEGAL = {
     "None": words("position smoothing refine_jumps"),
@@ -346,7 +346,7 @@ LEGAL = {
     "tracer": words("frequency frequency_ratio release s"),
     "large integer": words(
         "seed gap stiffness release barrier memory frequency frequency_ratio size longest_step "
-        "lines"
+        "lines rigid_within"
     ),
 }
 """Junk that is none for some arguments, by hand: not from the annotations that are tested."""

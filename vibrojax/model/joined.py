@@ -9,7 +9,7 @@ import numpy as np
 from jax.scipy.linalg import block_diag
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._tools.checks import as_number, check_position, concrete
+from vibrojax._tools.checks import as_number, check_one, check_position, concrete
 from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive, BaseMotion, NoDrive, PointForce
@@ -96,13 +96,14 @@ class Joined(AbstractSystem):
     def _places(self, given: Any) -> tuple[Any, ...]:
         """Place on the second body of every stop between; none where it has no places."""
         if self.second.reported_place is None:
-            if given is None or given == ():
+            if given is None or (isinstance(given, tuple) and not given):
                 return ()
             raise ValueError(
                 f"second_position must be None for a {type(self.second).__name__}, which has no "
                 f"places, got {in_short(given)}. Its second_map says where the stops are."
             )
-        places = tuple(given) if np.ndim(given) else (1.0 if given is None else given,)
+        several = isinstance(given, tuple | list) or np.ndim(given) > 0
+        places = tuple(given) if several else (1.0 if given is None else given,)
         places = places * len(self.between) if len(places) == 1 else places
         if len(places) != len(self.between):
             raise ValueError(
@@ -110,6 +111,7 @@ class Joined(AbstractSystem):
                 f"stops, got {in_short(given)}."
             )
         for place in places:
+            check_one("second_position", place, "place x/L")
             check_position("second_position", place)
         return tuple(map(as_number, places))
 

@@ -64,7 +64,15 @@ class Oscillator(AbstractSystem):
     def with_stops(
         self, stops: tuple[Stop, ...], stop_map: Float[Array, "stops coordinates"] | None = None
     ) -> "Oscillator":
-        """Return the oscillator with further `stops`, all at the mass: no `stop_map` is needed."""
+        """Return the oscillator with further `stops`, all at the mass; there is no `stop_map`.
+
+        Raises `ValueError` for one, or a stop with a position.
+        """
+        if stop_map is not None:
+            raise ValueError(
+                f"first_map and second_map are not for an Oscillator, whose stops are all at the "
+                f"mass, got shape {jnp.shape(stop_map)}. Leave it out."
+            )
         return replace(self, stops=(*self.stops, *stops))
 
     def flexibility_left_out(self) -> list[float]:
