@@ -210,6 +210,7 @@ def test_a_heavy_stiff_second_body_is_a_fixed_stop():
             np.testing.assert_allclose(getattr(two, name), expected, rtol=1e-6, err_msg=name)
 
 
+@pytest.mark.slow
 def test_bodies_that_do_not_meet_move_as_each_alone():
     drive, ratio = vj.BaseMotion(2e-4), 0.9
     apart = beams(gap=1.0, drive=drive)
