@@ -237,6 +237,16 @@ def test_the_numbers_of_either_body_are_axes():
         np.testing.assert_allclose(
             np.ravel(sweep.amplitude_ratio)[k], one.amplitude_ratio, rtol=1e-3
         )
+    found = vj.parameter_map(
+        on_a_spring,
+        frequency_ratio=[0.97, 0.98],
+        mass=masses,
+        stiffness=[400.0, 800.0],
+        response=settings,
+    )
+    last = found["peak_amplitude_ratio"].sel(stiffness=800.0).values
+    assert last.shape == (3,)
+    assert np.all(last >= np.ravel(sweep.amplitude_ratio) * (1 - 1e-3))
 
 
 CHAIN = [(1.0, 100.0, 0.3), (2.0, 500.0, 0.5), (0.5, 70.0, 0.2)]
