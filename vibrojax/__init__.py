@@ -50,13 +50,14 @@ from vibrojax.model.elastic_pendulum import default_pendulum as default_pendulum
 from vibrojax.model.examples import default_rig as default_rig
 from vibrojax.model.harvester import Harvester as Harvester
 from vibrojax.model.impacting_beam import ImpactingBeam as ImpactingBeam
+from vibrojax.model.joined import Joined as Joined
 from vibrojax.model.laws import Hertz as Hertz
 from vibrojax.model.laws import HuntCrossley as HuntCrossley
 from vibrojax.model.laws import KelvinVoigt as KelvinVoigt
-from vibrojax.model.laws import StandardLinearSolid as StandardLinearSolid
 from vibrojax.model.linearised_pendulum import LinearisedPendulum as LinearisedPendulum
 from vibrojax.model.matrix_system import MatrixSystem as MatrixSystem
 from vibrojax.model.modes import modes as modes
+from vibrojax.model.relaxing_laws import StandardLinearSolid as StandardLinearSolid
 from vibrojax.model.state_space import StateSpace as StateSpace
 from vibrojax.model.stops import Stop as Stop
 from vibrojax.plot.maps import plot_map as plot_map

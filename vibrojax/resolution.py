@@ -1,4 +1,4 @@
-"""How much a result depends on rounding, sampling and the number of modes."""
+"""How much a result depends on rounding, sampling, the number of modes and the stops' softness."""
 
 import dataclasses
 import inspect
@@ -9,11 +9,13 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from vibrojax._tools.checks import check_count
+from vibrojax._tools.checks import check_count, check_positive
 from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
-from vibrojax.model.systems import AbstractSystem
+from vibrojax.model.rigidity import StopSoftness, softness_of_stops, with_shorter_contacts
+from vibrojax.model.stops import Stop
+from vibrojax.model.systems import AbstractSystem, held_stops, with_changed_stops
 from vibrojax.results.variables import described_as
 from vibrojax.steady.methods import HarmonicBalance
 from vibrojax.steady.periodic_result import PeriodicResponse
@@ -25,6 +27,36 @@ if TYPE_CHECKING:
 
 Study = Callable[[AbstractSystem, HarmonicBalance], Any]
 
+GROWING = ("contact_force", "largest_contact_force")
+"""Numbers that grow without bound with the stiffness of a stop."""
+
+
+class Rigidity(eqx.Module):
+    """How far a result is from that of rigid stops, which take the same share at every impact.
+
+    It is found from a second result, of contacts half as long: what a stop's softness changes is in
+    proportion to how long contacts last, to first order, so that as much is left as has changed.
+    """
+
+    within: float
+    """Relative error asked for."""
+    errors: dict[str, float]
+    """Relative error of every number that has a limit; NaN for one that came or went."""
+    stops: tuple[StopSoftness, ...]
+    """Every stop: how long it is touched, and which law would be stiff enough."""
+
+    @property
+    def worst(self) -> float:
+        """Largest relative error of all; NaN when a number came or went."""
+        return float(np.max(list(self.errors.values()), initial=0.0))
+
+    def __repr__(self) -> str:
+        kept = "stiff enough" if self.worst <= self.within else "not stiff enough"
+        lines = [f"rigid stops (relative error, {kept} for {self.within:.1e})"]
+        lines += [f"  {name:24s}{error:.2e}" for name, error in self.errors.items()]
+        lines += ["  " + repr(stop).replace("\n", "\n  ") for stop in self.stops]
+        return "\n".join(lines)
+
 
 class ResolutionCheck(eqx.Module):
     """How far every number of a result moved when it was repeated more finely."""
@@ -35,6 +67,8 @@ class ResolutionCheck(eqx.Module):
     """Largest absolute change of every number, by what was refined."""
     skipped: dict[str, str]
     """What was not varied, and why."""
+    rigidity: Rigidity | None = None
+    """How far the stops are from rigid ones, where that was asked for."""
 
     @property
     def relative(self) -> dict[str, dict[str, float]]:
@@ -68,9 +102,12 @@ class ResolutionCheck(eqx.Module):
         names = list(dict.fromkeys(n for numbers in relative.values() for n in numbers))
         changes = [[numbers.get(n, np.nan) for n in names] for numbers in relative.values()]
         table = np.reshape(np.array(changes, float), (len(relative), len(names)))
-        data = {
+        data: dict[str, Any] = {
             "relative_change": (("refinement", "number"), table, described_as("relative_change"))
         }
+        if self.rigidity is not None:
+            errors = [self.rigidity.errors.get(name, np.nan) for name in names]
+            data["rigid_error"] = ("number", np.array(errors), described_as("rigid_error"))
         coordinates = {
             "refinement": ("refinement", list(relative), {"long_name": "What was refined"}),
             "number": ("number", names, {"long_name": "Number of the result"}),
@@ -94,6 +131,8 @@ class ResolutionCheck(eqx.Module):
             lines.append(f"  {what}")
             lines += [f"    {n:24s}{self._sentence(what, n, c)}" for n, c in numbers.items()]
         lines += [f"  {what}: not varied, {why}" for what, why in self.skipped.items()]
+        if self.rigidity is not None:
+            lines.append("  " + repr(self.rigidity).replace("\n", "\n  "))
         return "\n".join(lines)
 
     def _sentence(self, what: str, name: str, change: float) -> str:
@@ -107,9 +146,12 @@ class ResolutionCheck(eqx.Module):
 
 @validated
 def check_resolution(
-    study: Study, system: AbstractSystem, *, samples: int = 256
+    study: Study, system: AbstractSystem, *, samples: int = 256, rigid_within: float | None = None
 ) -> ResolutionCheck:
     """Repeat a result at half the rounding, twice the samples and one more mode.
+
+    Stops that stand for rigid ones, by their coefficient of restitution, have to be stiff enough:
+    with `rigid_within` the result is repeated with contacts half as long, too.
 
     Parameters:
         study: `study(system, method)` makes the result: a `PeriodicResponse`, a `Branch`, or a
@@ -117,14 +159,19 @@ def check_resolution(
             `HarmonicBalance` to pass on; a study by other means may leave it.
         system: the system of the result.
         samples: samples per drive period of the result that the others are compared with.
+        rigid_within: relative error against rigid stops to aim at; None: stops are what they are.
 
-    Returns how far every number moved. What a system does not have (rounding, a number of modes)
-    is not varied, and said. Raises `ValueError` when the study returns nothing comparable.
+    Returns how far every number moved, and in its `rigidity` how far the stops are from rigid ones
+    and which laws would reach the error asked for. What a system does not have (rounding, a number
+    of modes) is not varied, and said. Raises `ValueError` when the study returns nothing
+    comparable.
 
     For example `vj.check_resolution(lambda s, m: vj.periodic_response(s, frequency_ratio=1.1,
     method=m), rig)`.
     """
     check_count("samples", samples, least=16)
+    if rigid_within is not None:
+        check_positive("rigid_within", rigid_within, "(relative error)")
     try:
         inspect.signature(study).bind(system, None)
     except (TypeError, ValueError):
@@ -132,7 +179,8 @@ def check_resolution(
             f"study must be a function of a system and a method, got {in_short(study)}."
         ) from None
     method, finer = HarmonicBalance(samples=samples), HarmonicBalance(samples=2 * samples)
-    base = _numbers(study(system, method))
+    result = study(system, method)
+    base = _numbers(result)
     varied = {
         "twice the samples": (system, finer, ""),
         "half the rounding": (
@@ -152,18 +200,35 @@ def check_resolution(
             skipped[what] = why
         else:
             moved[what] = _moved(base, _numbers(study(other, how)))
-    return ResolutionCheck(values=base, moved=moved, skipped=skipped)
+    check = ResolutionCheck(values=base, moved=moved, skipped=skipped)
+    if rigid_within is None:
+        return check
+    shorter = with_shorter_contacts(system, 2.0)
+    if shorter is None:
+        why = "no stop, or a law that does not say how (with_shorter_contacts)"
+        return dataclasses.replace(check, skipped=skipped | {"half the length of contacts": why})
+    change = {"": _moved(base, _numbers(study(shorter, method)))}
+    relative = dataclasses.replace(check, moved=change).relative[""]
+    errors = {name: 2 * value for name, value in relative.items() if name not in GROWING}
+    known = bool(np.isfinite(list(errors.values())).all())
+    factor = max(1.0, max(errors.values(), default=0.0) / rigid_within) if known else None
+    stops = softness_of_stops(system, factor, _drive_period(result))
+    return dataclasses.replace(check, rigidity=Rigidity(rigid_within, errors, stops))
+
+
+def _drive_period(result: Any) -> float | None:
+    """Period of the drive, s, where the result is at one frequency."""
+    return 1 / float(result.frequency) if isinstance(result, PeriodicResponse) else None
 
 
 def _half_rounded(system: AbstractSystem) -> AbstractSystem | None:
-    stops = getattr(system, "stops", ())
-    if not stops or is_exact(system):
+    if not held_stops(system) or is_exact(system):
         return None
-    halved = tuple(
-        eqx.tree_at(lambda s: s.smoothing, s, s.width / 2, is_leaf=lambda x: x is None)
-        for s in stops
-    )
-    return eqx.tree_at(lambda s: s.stops, system, halved)
+
+    def halved(stop: Stop) -> Stop:
+        return dataclasses.replace(stop, smoothing=stop.width / 2)
+
+    return with_changed_stops(system, halved)
 
 
 def _with_one_mode_more(system: AbstractSystem) -> AbstractSystem | None:

@@ -65,20 +65,11 @@ def impact_orbit(w: float = W, r: float = RESTITUTION) -> Orbit:
     return Orbit(float(speed), float(GAP - x.min()) / 2, float(leading))
 
 
-def system(stiffness: float) -> vj.MatrixSystem:
+def system(stiffness: float) -> vj.model.Oscillator:
     """The same with a stop of this stiffness whose damping makes this restitution."""
-    ratio = -np.log(RESTITUTION) / np.hypot(np.pi, np.log(RESTITUTION))
-    law = vj.KelvinVoigt(stiffness, 2 * ratio * np.sqrt(stiffness))
-    return vj.MatrixSystem(
-        [[1.0]],
-        [[2 * DAMPING_RATIO]],
-        [[1.0]],
-        stops=vj.Stop(None, GAP, law),
-        stop_map=[[1.0]],
-        drive=vj.PointForce(1.0),
-        input_map=[1.0],
-        response_map=[1.0],
-    )
+    law = vj.KelvinVoigt.from_restitution(RESTITUTION, stiffness=stiffness, mass=1.0)
+    stop = vj.Stop(None, GAP, law)
+    return vj.model.Oscillator(1.0, 1.0, 2 * DAMPING_RATIO, stops=stop, drive=vj.PointForce(1.0))
 
 
 def with_stop(stiffness: float) -> tuple[float, float]:

@@ -120,6 +120,20 @@ CALLS = {
             input_map=[1.0],
         ),
     ),
+    "Oscillator": (vj.model.Oscillator, dict(mass=0.1, stiffness=20.0, drive=DRIVE)),
+    "Joined": (
+        vj.Joined,
+        dict(first=RIG, second=vj.model.Oscillator(0.1, 20.0), between=STOP),
+    ),
+    "KelvinVoigt.from_restitution": (
+        vj.KelvinVoigt.from_restitution,
+        dict(restitution=0.7, stiffness=1e3, mass=0.1),
+    ),
+    "HuntCrossley.from_restitution": (
+        vj.HuntCrossley.from_restitution,
+        dict(restitution=0.7, speed=0.1, stiffness=1e3),
+    ),
+    "ImpactingBeam.mass_at": (RIG.mass_at, dict(stop=1)),
     "ElasticPendulum": (vj.ElasticPendulum, SIZES),
     "LinearisedPendulum": (
         vj.LinearisedPendulum,
@@ -294,7 +308,7 @@ NUMBERS = words(
     "stiffness damping dissipation exponent maxwell_stiffness relaxation_time amplitude frequency "
     "start end duration damping_ratio tip_mass joint_damping bearing_damping gravity height "
     "distance base_amplitude limiter_height limiter_distance contact_stiffness contact_damping "
-    "joint_damping_time"
+    "joint_damping_time restitution speed"
 )
 """What a system is made of: 0 may do, batches and traced values are legal."""
 FLAGS = words(
@@ -302,7 +316,7 @@ FLAGS = words(
     "distinguish_phases keep_curves dry_run skip_unusable"
 )
 MAKERS = {n for n, (function, _) in CALLS.items() if inspect.isclass(function)}
-MAKERS |= {"default_rig", "default_pendulum"}
+MAKERS |= {"default_rig", "default_pendulum"} | {n for n in CALLS if "from_restitution" in n}
 SIGNED = words("barrier release direction")
 LEGAL = {
     "None": words("position smoothing refine_jumps"),
@@ -332,7 +346,7 @@ LEGAL = {
     "tracer": words("frequency frequency_ratio release s"),
     "large integer": words(
         "seed gap stiffness release barrier memory frequency frequency_ratio size longest_step "
-        "lines"
+        "lines rigid_within"
     ),
 }
 """Junk that is none for some arguments, by hand: not from the annotations that are tested."""

@@ -32,6 +32,12 @@ PARTS = {
     "Chirp": (vj.Chirp(1.0, 2.0, 3.0), "duration=3 s"),
     "ImpactingBeam": (vj.default_rig(), "gap=0.0004 m", "num_modes=5", "amplitude=0.0002 m"),
     "MatrixSystem": (oscillator(), "stiffness", "gap=1 m"),
+    "Oscillator": (vj.model.Oscillator(0.1, 20.0), "mass=0.1 kg", "stiffness=20 N/m"),
+    "Joined": (
+        vj.Joined(vj.default_rig(), vj.model.Oscillator(0.1, 20.0), vj.Stop(1.0, 1e-3, LAW)),
+        "first: ImpactingBeam",
+        "between[0]: Stop(position=1",
+    ),
     "ElasticPendulum": (vj.default_pendulum(), "length=0.195 m", "height=0.04 m"),
     "LinearisedPendulum": (vj.default_pendulum().linearised(3), "num_modes=3", "tip_mass"),
     "Limiters": (vj.default_pendulum().limiters, "distance=0.012 m"),

@@ -26,6 +26,8 @@ Checked = TypeVar("Checked", bound=Callable[..., Any])
 
 TRACEABLE = "modes, motion, simulate, periodic_response, lyapunov_exponent and fold_response"
 """The studies that JAX can trace."""
+OWNERS = ("self", "cls")
+"""Arguments that nobody gives by name."""
 
 
 @overload
@@ -60,7 +62,7 @@ def _checking(function: Any, owner: type | None, traceable: bool) -> Any:
     def checked(*args: Any, **kwargs: Any) -> Any:
         known = call()
         for name, value in known.given(args, kwargs):
-            if name == "self":
+            if name in OWNERS:
                 continue
             kind = known.kinds.get(name, known.others)
             if kind is not None and not kind.accepts(value):
@@ -95,7 +97,7 @@ class Call(NamedTuple):
         found = [*zip(self.positional, args, strict=False), *kwargs.items()]
         beyond = args[len(self.positional) :]
         if beyond and self.rest is None:
-            shown = [name for name in self.positional if name != "self"]
+            shown = [name for name in self.positional if name not in OWNERS]
             raise ValueError(
                 f"Only {', '.join(shown) or 'nothing'} may be given to {self.name} without a "
                 f"name, got {in_short(beyond[0])} beyond. Name the others."
@@ -141,7 +143,7 @@ def _call_of(function: Any, owner: type | None) -> Call:
         name=owner.__name__ if owner is not None else function.__qualname__,
         positional=tuple(p.name for p in plain if p.kind is not p.KEYWORD_ONLY),
         rest=rest,
-        named=frozenset(p.name for p in plain if p.name != "self"),
+        named=frozenset(p.name for p in plain if p.name not in OWNERS),
         needed=tuple(p.name for p in plain if p.default is p.empty),
         any_name=others is not None,
         kinds=kinds,

@@ -2,7 +2,8 @@
 
 from typing import NamedTuple
 
-from vibrojax.model.laws import Hertz, HuntCrossley, KelvinVoigt, StandardLinearSolid
+from vibrojax.model.laws import Hertz, HuntCrossley, KelvinVoigt
+from vibrojax.model.relaxing_laws import StandardLinearSolid
 
 
 class Key(NamedTuple):

@@ -8,11 +8,12 @@ from vibrojax.model.internal_states import InternalStates as InternalStates
 from vibrojax.model.laws import AbstractContactLaw as AbstractContactLaw
 from vibrojax.model.laws import AbstractLinearLaw as AbstractLinearLaw
 from vibrojax.model.laws import AbstractMemoryLaw as AbstractMemoryLaw
-from vibrojax.model.laws import AbstractRelaxingLaw as AbstractRelaxingLaw
-from vibrojax.model.laws import MaxwellChain as MaxwellChain
 from vibrojax.model.matrix_system import MatrixModes as MatrixModes
 from vibrojax.model.modes import Modes as Modes
+from vibrojax.model.oscillator import Oscillator as Oscillator
 from vibrojax.model.piezo import PiezoLayers as PiezoLayers
 from vibrojax.model.piezo import bimorph as bimorph
+from vibrojax.model.relaxing_laws import AbstractRelaxingLaw as AbstractRelaxingLaw
+from vibrojax.model.relaxing_laws import MaxwellChain as MaxwellChain
 from vibrojax.model.systems import AbstractSystem as AbstractSystem
 from vibrojax.model.systems import Motion as Motion

@@ -91,6 +91,12 @@ class Harvester(AbstractSystem):
         """The stops of the beam."""
         return self.rig.stops
 
+    def with_stops(
+        self, stops: tuple[Stop, ...], stop_map: Float[Array, "stops coordinates"] | None = None
+    ) -> "Harvester":
+        """Return the harvester with further `stops` at its beam; there is no `stop_map`."""
+        return replace(self, rig=self.rig.with_stops(stops, stop_map))
+
     def coupling(self) -> Float[Array, " modes"]:
         """Modal force of a unit voltage, theta, N/V, or charge per modal coordinate, C/m."""
         free, ends = self.rig.modes(), jnp.stack([self.layers.start, self.layers.end])

@@ -1,5 +1,7 @@
 """A cantilever that hits stops, as a reduced-order model in its own modes."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -79,6 +81,20 @@ class ImpactingBeam(AbstractSystem):
             response_map=free.shape(1.0),
             modal_mass=free.modal_mass,
         )
+
+    def with_stops(
+        self, stops: tuple[Stop, ...], stop_map: Float[Array, "stops coordinates"] | None = None
+    ) -> "ImpactingBeam":
+        """Return the beam with further `stops`; they have their places, there is no `stop_map`.
+
+        Raises `ValueError` for one, or a stop without a place.
+        """
+        if stop_map is not None:
+            raise ValueError(
+                f"first_map and second_map are for bodies without places, got shape "
+                f"{jnp.shape(stop_map)} for an ImpactingBeam. Give positions, x/L."
+            )
+        return replace(self, stops=(*self.stops, *stops))
 
     @property
     def reported_place(self) -> float:

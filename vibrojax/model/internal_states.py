@@ -8,6 +8,7 @@ and accelerates the coordinates by `acceleration` s.
 """
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
@@ -42,3 +43,12 @@ class InternalStates(eqx.Module):
     def size(self) -> int:
         """How many states there are."""
         return self.flow.shape[0]
+
+
+def no_states(coordinates: int, stops: int) -> InternalStates:
+    """Return no internal states of a structure of so many coordinates and stops."""
+    row = jnp.zeros((0, coordinates))
+    none = jnp.zeros(0)
+    return InternalStates(
+        jnp.zeros((0, 0)), row, row, none, jnp.zeros((0, stops)), row.T, none, none
+    )

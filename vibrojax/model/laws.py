@@ -5,7 +5,8 @@ the gap: the `Stop` decides when there is contact and rounds the corner of the f
 """
 
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from vibrojax._tools.checks import (
 )
 from vibrojax._tools.described import described
 from vibrojax._tools.signatures import validated
+from vibrojax.model.restitution import approach_of, check_restitution, damping_ratio_of
 
 Values = Float[Array, "..."]
 Number = float | Values
@@ -37,6 +39,13 @@ class AbstractContactLaw(eqx.Module):
 
         `penetration` (m) is at least 0 and `rate` (m/s) is its derivative.
         """
+
+    def with_shorter_contacts(self, factor: Number) -> "AbstractContactLaw | None":
+        """Return the law stiffened so that contacts last 1/`factor` as long, as much being lost.
+
+        None for a law that does not say: what a rigid stop would do is then not estimated.
+        """
+        return None
 
     def __repr__(self) -> str:
         return described(self)
@@ -66,6 +75,15 @@ class AbstractMemoryLaw(AbstractContactLaw):
     def memory_size(self) -> int:
         """How many internal states there are."""
         return 1
+
+    @property
+    def relaxes_linearly(self) -> bool:
+        """Whether the law is linear in contact and out of it, as `linear_contact` says."""
+        return False
+
+    def linear_contact(self) -> "LinearContact | None":
+        """Return the law as one that is linear in contact and out of it; None where it is not."""
+        return None
 
     @abstractmethod
     def force_with_memory(self, penetration: Values, rate: Values, memory: Values) -> Values:
@@ -105,14 +123,15 @@ class LinearContact(NamedTuple):
 
 def is_linear(law: AbstractContactLaw) -> bool:
     """Whether a law is linear in contact, and relaxes linearly out of it if it does."""
-    return isinstance(law, AbstractLinearLaw | AbstractRelaxingLaw)
+    relaxes = isinstance(law, AbstractMemoryLaw) and law.relaxes_linearly
+    return relaxes or isinstance(law, AbstractLinearLaw)
 
 
 def linear_contact(law: AbstractContactLaw) -> LinearContact | None:
     """Return the law as one that is linear in contact and out of it; None where it is not."""
     if isinstance(law, AbstractLinearLaw):
         return LinearContact(*law.linear_coefficients())
-    return law.linear_contact() if isinstance(law, AbstractRelaxingLaw) else None
+    return law.linear_contact() if isinstance(law, AbstractMemoryLaw) else None
 
 
 def linear_coefficients(law: AbstractContactLaw) -> tuple[ArrayLike, ArrayLike] | None:
@@ -151,10 +170,6 @@ def _power(penetration: Values, exponent: ArrayLike) -> Values:
     return jnp.where(touching, jnp.where(touching, penetration, 1.0) ** exponent, 0.0)
 
 
-def _numbers_field(units: str) -> Any:
-    return eqx.field(converter=tuple, metadata={"units": units})
-
-
 def _check_exponent(exponent: object) -> None:
     allowed, advice = "from 1 (a linear spring) to 5", "Hertz contact of a sphere has 1.5."
     check_range("exponent", exponent, 1.0, 5.0, allowed=allowed, advice=advice)
@@ -183,6 +198,36 @@ class KelvinVoigt(AbstractLinearLaw):
         check_not_negative("stiffness", self.stiffness, "N/m")
         check_not_negative("damping", self.damping, "N s/m")
         check_choice("tension", self.tension, (True, False))
+
+    @classmethod
+    @validated(traceable=True)
+    def from_restitution(
+        cls, restitution: Number, *, stiffness: Number, mass: Number, tension: bool = True
+    ) -> "KelvinVoigt":
+        """Make the law from which a free mass comes back with `restitution` times its speed.
+
+        So at any speed. The damping is 2 z sqrt(stiffness mass) with -ln e = pi z/sqrt(1 - z^2), or
+        without tension -ln e = 2 z arccos(z)/sqrt(1 - z^2). Numbers may be batched and
+        differentiated. Source: Nagurka and Huang 2004; Schwager and Poeschel 2007.
+
+        Parameters:
+            restitution: e, above 0 and at most 1.
+            stiffness: N/m; `check_resolution` says which is stiff enough.
+            mass: that hits the stop, kg: of a beam `mass_at` the stop.
+            tension: whether the stop may pull, and so lets go at depth 0; else at force 0.
+
+        Raises `ValueError` for a restitution outside (0, 1], or a stiffness or mass not above 0.
+        """
+        check_restitution(restitution)
+        check_positive("stiffness", stiffness, "N/m")
+        check_positive("mass", mass, "kg")
+        check_choice("tension", tension, (True, False))
+        ratio = damping_ratio_of(restitution, tension)
+        return cls(stiffness, 2 * ratio * jnp.sqrt(jnp.asarray(stiffness) * mass), tension)
+
+    def with_shorter_contacts(self, factor: Number) -> "KelvinVoigt":
+        """Return the law with stiffness times factor^2 and damping times `factor`."""
+        return replace(self, stiffness=self.stiffness * factor**2, damping=self.damping * factor)
 
     def force(self, penetration: Values, rate: Values) -> Values:
         """Return stiffness d + damping d', cut off below zero without tension."""
@@ -219,6 +264,10 @@ class Hertz(AbstractContactLaw):
         check_not_negative("stiffness", self.stiffness, "N/m^exponent")
         _check_exponent(self.exponent)
 
+    def with_shorter_contacts(self, factor: Number) -> "Hertz":
+        """Return the law with stiffness times factor^(exponent + 1); `factor` shortens contacts."""
+        return replace(self, stiffness=self.stiffness * factor ** (self.exponent + 1))
+
     def force(self, penetration: Values, rate: Values) -> Values:
         """Return stiffness d^exponent."""
         return self.stiffness * _power(penetration, self.exponent)
@@ -249,142 +298,36 @@ class HuntCrossley(AbstractContactLaw):
         check_not_negative("dissipation", self.dissipation, "s/m")
         _check_exponent(self.exponent)
 
+    @classmethod
+    @validated(traceable=True)
+    def from_restitution(
+        cls, restitution: Number, *, speed: Number, stiffness: Number, exponent: Number = 1.5
+    ) -> "HuntCrossley":
+        """Make the law from which a free mass that comes with `speed` leaves with e times that.
+
+        Slower ones come back with more, faster ones with less: the dissipation is a/(3/2 speed),
+        where a - ln(1 + a) = -e a - ln(1 - e a), whatever mass, stiffness and exponent. Numbers may
+        be batched and differentiated. Source: Hunt and Crossley 1975, eqs. 10 to 13.
+
+        Parameters:
+            restitution: e, above 0 and at most 1.
+            speed: of approach, m/s.
+            stiffness: N/m^exponent.
+            exponent: power of the penetration.
+
+        Raises `ValueError` for a restitution outside (0, 1], a speed or stiffness not above 0, or
+        an exponent outside [1, 5].
+        """
+        check_restitution(restitution)
+        check_positive("speed", speed, "m/s")
+        check_positive("stiffness", stiffness, "N/m^exponent")
+        return cls(stiffness, approach_of(restitution) / (1.5 * jnp.asarray(speed)), exponent)
+
+    def with_shorter_contacts(self, factor: Number) -> "HuntCrossley":
+        """Return the law with stiffness times factor^(exponent + 1); `factor` shortens contacts."""
+        return replace(self, stiffness=self.stiffness * factor ** (self.exponent + 1))
+
     def force(self, penetration: Values, rate: Values) -> Values:
         """Return stiffness d^exponent (1 + 3/2 dissipation d'), at least zero."""
         loss = jnp.maximum(1 + 1.5 * self.dissipation * rate, 0.0)
         return self.stiffness * _power(penetration, self.exponent) * loss
-
-
-class AbstractRelaxingLaw(AbstractMemoryLaw):
-    """A spring in parallel with Maxwell elements, each a spring and a dashpot in series.
-
-    F = stiffness d + sum of k_j (d - z_j) with z_j' = (d - z_j)/time_j, z_j the stretch of a
-    dashpot. The stop does not stick: where the body leaves its surface the force is zero and the
-    surface creeps back.
-    """
-
-    stiffness: eqx.AbstractVar[Number]
-    """Stiffness of a slow compression, N/m."""
-
-    @property
-    @abstractmethod
-    def elements(self) -> tuple[tuple[Any, Any], ...]:
-        """Stiffness (N/m) and relaxation time (s) of every Maxwell element."""
-
-    @property
-    def memory_size(self) -> int:
-        """How many Maxwell elements there are."""
-        return len(self.elements)
-
-    def linear_contact(self) -> LinearContact:
-        """Return the law as one that is linear in contact and out of it."""
-        total = jnp.asarray(self.stiffness) + sum(k for k, _ in self.elements)
-        shares = tuple(
-            jnp.where(total > 0, k / jnp.where(total > 0, total, 1.0), 0.0)
-            for k, _ in self.elements
-        )
-        return LinearContact(total, 0.0, shares, tuple(time for _, time in self.elements))
-
-    def force_with_memory(self, penetration: Values, rate: Values, memory: Values) -> Values:
-        """Return stiffness d + sum of k_j (d - z_j), at least zero."""
-        force = self.stiffness * penetration
-        for (k, _), stretch in self._with(memory):
-            force = force + k * (penetration - stretch)
-        return jnp.maximum(force, 0.0)
-
-    def memory_rate(self, penetration: Values, rate: Values, memory: Values) -> Values:
-        """Return z', m/s."""
-        surface = self._surface(penetration, memory)
-        rates = [(surface - stretch) / time for (_, time), stretch in self._with(memory)]
-        return jnp.asarray(rates[0]) if self.memory_size == 1 else jnp.stack(rates)
-
-    def stored_energy_with_memory(self, penetration: Values, memory: Values) -> Values:
-        """Return the energy of all springs, J."""
-        surface = self._surface(penetration, memory)
-        energy = self.stiffness * surface**2
-        for (k, _), stretch in self._with(memory):
-            energy = energy + k * (surface - stretch) ** 2
-        return energy / 2
-
-    def force(self, penetration: Values, rate: Values) -> Values:
-        """Return the force of a stop that was at rest before, N."""
-        return jnp.asarray(self.linear_contact().stiffness) * penetration
-
-    def _with(self, memory: Values) -> list[tuple[tuple[Any, Any], Values]]:
-        stretches = [memory] if self.memory_size == 1 else list(memory)
-        return list(zip(self.elements, stretches, strict=True))
-
-    def _surface(self, penetration: Values, memory: Values) -> Values:
-        """How deep the surface of the stop is, m: with the body, or where no force holds it."""
-        shares = self.linear_contact().shares
-        free = sum(s * z for s, (_, z) in zip(shares, self._with(memory), strict=True))
-        return jnp.maximum(penetration, jnp.asarray(free))
-
-
-@validated
-class StandardLinearSolid(AbstractRelaxingLaw):
-    """Rubber: a spring in parallel with a Maxwell element (spring and dashpot in series).
-
-    F = stiffness d + maxwell_stiffness (d - z) with z' = (d - z)/relaxation_time, z the stretch of
-    the dashpot. Slow contacts feel `stiffness`, quick ones the sum of both. The stop does not
-    stick: where the body leaves its surface the force is zero and the surface creeps back. Source:
-    Zener 1948, ch. V; Findley, Lai and Onaran, Creep and Relaxation (1976), sec. 5.4.
-
-    Raises `ValueError` for a negative stiffness or a relaxation time that is not above 0.
-    """
-
-    stiffness: Number = number_field("N/m")
-    """Stiffness of a slow compression, N/m."""
-    maxwell_stiffness: Number = number_field("N/m")
-    """What a sudden compression adds to it, N/m."""
-    relaxation_time: Number = number_field("s")
-    """Time in which the added force falls to 1/e under constant penetration, s."""
-
-    def __check_init__(self) -> None:
-        """Refuse concrete values that are not a stop."""
-        check_not_negative("stiffness", self.stiffness, "N/m")
-        check_not_negative("maxwell_stiffness", self.maxwell_stiffness, "N/m")
-        check_positive("relaxation_time", self.relaxation_time, "s")
-
-    @property
-    def elements(self) -> tuple[tuple[Any, Any], ...]:
-        """Stiffness (N/m) and relaxation time (s) of the Maxwell element."""
-        return ((self.maxwell_stiffness, self.relaxation_time),)
-
-
-@validated
-class MaxwellChain(AbstractRelaxingLaw):
-    """A spring in parallel with several Maxwell elements: relaxation over decades of time.
-
-    F = stiffness d + sum of k_j (d - z_j) with z_j' = (d - z_j)/time_j (generalised Maxwell model,
-    Prony series). One element makes it a `StandardLinearSolid`. Source: Findley, Lai and Onaran,
-    Creep and Relaxation (1976), sec. 5.6.
-
-    Raises `ValueError` for a negative stiffness, a relaxation time that is not above 0, no
-    elements, or as many stiffnesses as there are not times.
-    """
-
-    stiffness: Number = number_field("N/m")
-    """Stiffness of a slow compression, N/m."""
-    maxwell_stiffness: tuple[Number, ...] = _numbers_field("N/m")
-    """What a sudden compression adds to it, N/m, by element."""
-    relaxation_time: tuple[Number, ...] = _numbers_field("s")
-    """Time in which the force of an element falls to 1/e under constant penetration, s."""
-
-    def __check_init__(self) -> None:
-        """Refuse concrete values that are not a stop."""
-        stiffnesses, times = len(self.maxwell_stiffness), len(self.relaxation_time)
-        if stiffnesses != times or not times:
-            raise ValueError(
-                "maxwell_stiffness and relaxation_time must hold a number for each element, got "
-                f"{stiffnesses} and {times}."
-            )
-        check_not_negative("stiffness", self.stiffness, "N/m")
-        for k, time in self.elements:
-            check_not_negative("maxwell_stiffness", k, "N/m")
-            check_positive("relaxation_time", time, "s")
-
-    @property
-    def elements(self) -> tuple[tuple[Any, Any], ...]:
-        """Stiffness (N/m) and relaxation time (s) of every Maxwell element."""
-        return tuple(zip(self.maxwell_stiffness, self.relaxation_time, strict=True))

@@ -18,7 +18,12 @@ from vibrojax.model.drives import AbstractDrive, NoDrive
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.states import Displacement, check_coordinates
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import AbstractSystem, as_stops, check_stops_and_drive
+from vibrojax.model.systems import (
+    AbstractSystem,
+    as_stops,
+    check_stops_and_drive,
+    check_without_places,
+)
 
 Matrix = ArrayLike | Sequence[Any]
 
@@ -99,12 +104,7 @@ class MatrixSystem(AbstractSystem):
         self.stops = as_stops(stops)
         self.drive = NoDrive() if drive is None else drive
         check_stops_and_drive(self.stops, self.drive)
-        for stop in self.stops:
-            if stop.position is not None:
-                raise ValueError(
-                    f"position must be None for a Stop of a MatrixSystem, got {stop.position!r}. "
-                    "Its row of stop_map says where it is."
-                )
+        check_without_places("a MatrixSystem", self.stops, "Its row of stop_map says where it is.")
         self.mass = jnp.asarray(mass, float)
         n = self.mass.shape[0] if self.mass.ndim else 0
         _check_array("mass", self.mass, (n, n), "a square matrix")
@@ -169,6 +169,23 @@ class MatrixSystem(AbstractSystem):
     def with_fixed_structure(self) -> "MatrixSystem":
         """Return the system with damping that may couple modes, whatever its numbers are."""
         return replace(self, proportional=False)
+
+    def with_stops(
+        self, stops: tuple[Stop, ...], stop_map: Float[Array, "stops coordinates"] | None = None
+    ) -> "MatrixSystem":
+        """Return the system with further `stops`; `stop_map` has their rows, shape (stops, n).
+
+        Raises `ValueError` without them, or for another shape.
+        """
+        if stop_map is None or jnp.shape(stop_map) != (len(stops), self.mass.shape[0]):
+            raise ValueError(
+                f"A MatrixSystem of {self.mass.shape[0]} coordinates needs first_map (or "
+                f"second_map) of shape ({len(stops)}, {self.mass.shape[0]}): the displacement of "
+                f"each contact point by coordinate, got "
+                f"{'none' if stop_map is None else f'shape {jnp.shape(stop_map)}'}."
+            )
+        rows = jnp.concatenate([self.stop_map, stop_map])
+        return replace(self, stops=(*self.stops, *stops), stop_map=rows)
 
     def modes(self) -> MatrixModes:
         """Return the undamped modes that the model is reduced to.

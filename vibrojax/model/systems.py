@@ -6,7 +6,7 @@ stale.
 
 import dataclasses
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._tools.checks import name_of
+from vibrojax._tools.checks import check_index, name_of
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.described import described, in_short, shown_value
 from vibrojax._tools.signatures import check_not_traced, check_one_lane, validated
@@ -56,9 +56,48 @@ class AbstractSystem(eqx.Module):
         """
         raise ValueError("release is for an ImpactingBeam: give initial_state instead.")
 
+    def with_stops(
+        self, stops: tuple[Stop, ...], stop_map: Float[Array, "stops coordinates"] | None = None
+    ) -> "AbstractSystem":
+        """Return the system with further `stops`, which come last in its equations.
+
+        `stop_map` places them on a system without places. Raises `ValueError` for a system that is
+        not linear between contacts.
+        """
+        raise ValueError(f"A {type(self).__name__} takes no further stops: it cannot be joined.")
+
     def flexibility_left_out(self) -> list[float] | None:
         """Static flexibility at each stop that the coordinates lack, m/N; None: not known."""
         return None
+
+    @validated(traceable=True)
+    def mass_at(self, stop: int = 1, modes: int | None = None) -> Float[Array, ""]:
+        """Return the mass that a sudden force at a stop has to move, kg: 1 / sum of phi^2/m.
+
+        It is what `KelvinVoigt.from_restitution` asks for. It does not depend on laws and gaps, and
+        can be differentiated.
+
+        Parameters:
+            stop: number of the stop, from 1.
+            modes: how many modes count, from the lowest: those whose periods are short beside the
+                contact do not. None: all that are kept.
+
+        Raises `ValueError` for a system that is not linear between contacts, or a number of a stop
+        or of modes that it does not have.
+        """
+        equations = equations_of(as_arrays(self)).linear_between_contacts
+        if equations is None:
+            raise ValueError(
+                f"mass_at is for systems that are linear between contacts, got {in_short(self)}. "
+                "Give mass= as a number."
+            )
+        if not equations.stops:
+            raise ValueError("mass_at needs a stop, and this system has none. Give it one.")
+        check_index("stop", stop, len(equations.stops), first=1)
+        if modes is not None:
+            check_index("modes", modes, equations.size, first=1)
+        per_force = equations.stop_map[stop - 1, :modes] * equations.force_map[:modes, stop - 1]
+        return 1 / jnp.sum(per_force)
 
     def modal_coordinates(self, displacement: Displacement) -> Float[Array, " coordinates"]:
         """Return the coordinates q of a displacement, or q' of a velocity.
@@ -117,6 +156,20 @@ class AbstractSystem(eqx.Module):
         return described(self)
 
 
+def held_stops(system: AbstractSystem) -> list[Stop]:
+    """Return the stops that a system holds, wherever, in the order of its leaves."""
+    return [s for s in jax.tree.leaves(system, is_leaf=_is_stop) if _is_stop(s)]
+
+
+def with_changed_stops(system: SystemType, change: Callable[[Stop], Stop]) -> SystemType:
+    """Return the system with every stop that it holds changed."""
+    return jax.tree.map(lambda s: change(s) if _is_stop(s) else s, system, is_leaf=_is_stop)
+
+
+def _is_stop(node: Any) -> bool:
+    return isinstance(node, Stop)
+
+
 def as_stops(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:
     """Return one stop or several as a tuple. Raises `ValueError` for what is neither."""
     if isinstance(stops, Stop):
@@ -145,6 +198,15 @@ def check_made(make: Any, made: Any) -> None:
         raise ValueError(f"{name_of(make)} must return a system, got {in_short(made)}.")
     check_one_lane("system", made)
     check_not_traced("This study", "system", made)
+
+
+def check_without_places(of: str, stops: tuple[Stop, ...], advice: str) -> None:
+    """Raise `ValueError` where a stop of a system without places has one."""
+    for stop in stops:
+        if stop.position is not None:
+            raise ValueError(
+                f"position must be None for a Stop of {of}, got {stop.position!r}. {advice}"
+            )
 
 
 def check_stops_and_drive(stops: tuple[Stop, ...], drive: AbstractDrive) -> None:
