@@ -4,10 +4,13 @@ from vibrojax.model.drives import AbstractDrive as AbstractDrive
 from vibrojax.model.drives import AbstractWaveform as AbstractWaveform
 from vibrojax.model.equations import AbstractEquations as AbstractEquations
 from vibrojax.model.equations import LinearEquations as LinearEquations
+from vibrojax.model.finite_elements import FiniteElements as FiniteElements
 from vibrojax.model.laws import AbstractContactLaw as AbstractContactLaw
 from vibrojax.model.laws import AbstractLinearLaw as AbstractLinearLaw
 from vibrojax.model.laws import AbstractMemoryLaw as AbstractMemoryLaw
 from vibrojax.model.matrix_system import MatrixModes as MatrixModes
 from vibrojax.model.modes import Modes as Modes
+from vibrojax.model.reduction import Reduction as Reduction
+from vibrojax.model.reduction import reduce as reduce
 from vibrojax.model.systems import AbstractSystem as AbstractSystem
 from vibrojax.model.systems import Motion as Motion
