@@ -3,6 +3,7 @@
 import importlib
 import os
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,7 +38,7 @@ def read_matrices(
     stiffness: Source,
     mass: Source,
     damping: Source = None,
-    degrees_of_freedom: ArrayLike | None = None,
+    degrees_of_freedom: ArrayLike | Sequence[Any] | None = None,
 ) -> FiniteElements:
     """Read the matrices of a finite-element model, in SI units, with the supports held.
 

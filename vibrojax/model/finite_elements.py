@@ -1,5 +1,6 @@
 """Large sparse matrices of a finite-element model, with the labels of their coordinates."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -43,6 +44,7 @@ class FiniteElements:
     stiffness: "csc_array"
     damping: "csc_array | None"
     degrees_of_freedom: Int[np.ndarray, "coordinates 2"]
+    _base_loads: Float[np.ndarray, "coordinates 3"]
 
     def __init__(
         self,
@@ -50,7 +52,7 @@ class FiniteElements:
         mass: Any,
         stiffness: Any,
         damping: Any = None,
-        degrees_of_freedom: ArrayLike | None = None,
+        degrees_of_freedom: ArrayLike | Sequence[Any] | None = None,
     ) -> None:
         self.stiffness = _sparse("stiffness", stiffness, None)
         n = self.stiffness.shape[0]
@@ -67,6 +69,7 @@ class FiniteElements:
             )
         self.degrees_of_freedom = labels
         self._check_diagonals()
+        self._base_loads = self.mass @ (labels[:, 1:] == [1, 2, 3]).astype(float)
 
     def _check_diagonals(self) -> None:
         mass, stiffness = self.mass.diagonal(), self.stiffness.diagonal()
@@ -112,16 +115,16 @@ class FiniteElements:
     def base_load(self, *, dof: int) -> Vector:
         """Return M times the influence vector: the `input_map` of a base that moves along `dof`.
 
-        All supports move by the same displacement in direction `dof`, 1 to 3; shape (n,), kg.
-        Raises `ValueError` for another direction, or one in which nothing moves.
+        All supports move by the same displacement in direction `dof`, 1 to 3; shape (n,), kg. Hold
+        them by `held`: the mass that couples them to their neighbours counts, and files without
+        supports have lost it. Raises `ValueError` for another direction, or where nothing moves.
         """
-        check_range("dof", dof, 1, 3, allowed="1, 2 or 3 (along x, y or z)")
-        along = self.degrees_of_freedom[:, 1] == dof
-        if not along.any():
+        check_range("dof", dof, 1.0, 3.0, allowed="1, 2 or 3 (along x, y or z)")
+        if not (self.degrees_of_freedom[:, 1] == dof).any():
             raise ValueError(f"dof must be a direction in which a node moves, got {dof}.")
-        return self.mass @ along.astype(float)
+        return self._base_loads[:, dof - 1]
 
-    def held(self, *, nodes: ArrayLike) -> "FiniteElements":
+    def held(self, *, nodes: ArrayLike | Sequence[int]) -> "FiniteElements":
         """Return the model with all degrees of freedom of some nodes held, and so left out.
 
         `nodes` is a list of node numbers, each of the model, else `ValueError` is raised.
@@ -135,12 +138,14 @@ class FiniteElements:
         def part(matrix: Any) -> Any:
             return None if matrix is None else matrix[kept][:, kept]
 
-        return FiniteElements(
+        model = FiniteElements(
             mass=part(self.mass),
             stiffness=part(self.stiffness),
             damping=part(self.damping),
             degrees_of_freedom=self.degrees_of_freedom[kept],
         )
+        model._base_loads = self._base_loads[kept]
+        return model
 
     def __repr__(self) -> str:
         nodes = len(np.unique(self.degrees_of_freedom[:, 0]))

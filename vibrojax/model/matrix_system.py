@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,14 +13,22 @@ from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import check_count, concrete
 from vibrojax._tools.described import shown_value
-from vibrojax._tools.signatures import validated
+from vibrojax._tools.kinds import ARRAY
+from vibrojax._tools.signatures import refuse_kind, validated
 from vibrojax.model.drives import AbstractDrive, NoDrive
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.states import Displacement, check_coordinates
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import AbstractSystem, as_stops, check_stops_and_drive
 
+if TYPE_CHECKING:
+    from scipy.sparse import sparray, spmatrix
+
+    SparseMatrix = sparray | spmatrix
+
 Matrix = ArrayLike | Sequence[Any]
+MOST = 3000
+"""Rows of a sparse matrix, up to which it is made dense: its eigenvalues take 10 s then."""
 
 
 class MatrixModes(NamedTuple):
@@ -45,7 +53,8 @@ class MatrixSystem(AbstractSystem):
     There are n coordinates; units below are those of displacements, rotations have theirs.
 
     Parameters:
-        mass: M, shape (n, n), symmetric and positive definite, kg.
+        mass: M, shape (n, n), symmetric and positive definite, kg. Each matrix may be a sparse one
+            of scipy; large ones are reduced first (`vibrojax.model.reduce`).
         damping: C, shape (n, n), symmetric, N s/m.
         stiffness: K, shape (n, n), symmetric and positive definite, N/m.
         stops: one or several `Stop`, with position None: stop_map places them.
@@ -84,9 +93,9 @@ class MatrixSystem(AbstractSystem):
 
     def __init__(
         self,
-        mass: Matrix,
-        damping: Matrix,
-        stiffness: Matrix,
+        mass: "Matrix | SparseMatrix",
+        damping: "Matrix | SparseMatrix",
+        stiffness: "Matrix | SparseMatrix",
         *,
         response_map: Matrix,
         stops: Stop | tuple[Stop, ...] | list[Stop] = (),
@@ -105,11 +114,11 @@ class MatrixSystem(AbstractSystem):
                     f"position must be None for a Stop of a MatrixSystem, got {stop.position!r}. "
                     "Its row of stop_map says where it is."
                 )
-        self.mass = jnp.asarray(mass, float)
+        self.mass = _dense("mass", mass)
         n = self.mass.shape[0] if self.mass.ndim else 0
         _check_array("mass", self.mass, (n, n), "a square matrix")
-        self.damping = jnp.asarray(damping, float)
-        self.stiffness = jnp.asarray(stiffness, float)
+        self.damping = _dense("damping", damping)
+        self.stiffness = _dense("stiffness", stiffness)
         for name in ("damping", "stiffness"):
             _check_array(name, getattr(self, name), (n, n), "of the shape of mass")
         for name in ("mass", "damping", "stiffness"):
@@ -232,6 +241,20 @@ class MatrixSystem(AbstractSystem):
             modal_mass=jnp.ones_like(frequency),
             damping_coupling=coupling,
         )
+
+
+def _dense(name: str, given: Any) -> Array:
+    """Return a matrix as an array. Raises `ValueError` for a large sparse one, or none."""
+    if hasattr(given, "toarray"):
+        if max(given.shape) > MOST:
+            raise ValueError(
+                f"{name} must have at most {MOST} coordinates if it is sparse, got "
+                f"{max(given.shape)}. Reduce the model first, by vibrojax.model.reduce."
+            )
+        given = given.toarray()
+    if not ARRAY.accepts(given):
+        refuse_kind(name, given, ARRAY)
+    return jnp.asarray(given, float)
 
 
 def _negligible(matrix: Array) -> float:
