@@ -13,6 +13,7 @@ from vibrojax._tools.checks import check_count
 from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
+from vibrojax.model.equations import contact_slope
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.variables import described_as
 from vibrojax.steady.methods import HarmonicBalance
@@ -35,6 +36,8 @@ class ResolutionCheck(eqx.Module):
     """Largest absolute change of every number, by what was refined."""
     skipped: dict[str, str]
     """What was not varied, and why."""
+    advice: str = ""
+    """What is recommended, or nothing."""
 
     @property
     def relative(self) -> dict[str, dict[str, float]]:
@@ -94,7 +97,7 @@ class ResolutionCheck(eqx.Module):
             lines.append(f"  {what}")
             lines += [f"    {n:24s}{self._sentence(what, n, c)}" for n, c in numbers.items()]
         lines += [f"  {what}: not varied, {why}" for what, why in self.skipped.items()]
-        return "\n".join(lines)
+        return "\n".join(lines + [f"  {self.advice}"] * bool(self.advice))
 
     def _sentence(self, what: str, name: str, change: float) -> str:
         if np.isinf(change):
@@ -119,7 +122,9 @@ def check_resolution(
         samples: samples per drive period of the result that the others are compared with.
 
     Returns how far every number moved. What a system does not have (rounding, a number of modes)
-    is not varied, and said. Raises `ValueError` when the study returns nothing comparable.
+    is not varied, and said. Where the modes left out give way by more than a hundredth of what a
+    stop does, `static_correction=True` is recommended. Raises `ValueError` when the study returns
+    nothing comparable.
 
     For example `vj.check_resolution(lambda s, m: vj.periodic_response(s, frequency_ratio=1.1,
     method=m), rig)`.
@@ -152,7 +157,24 @@ def check_resolution(
             skipped[what] = why
         else:
             moved[what] = _moved(base, _numbers(study(other, how)))
-    return ResolutionCheck(values=base, moved=moved, skipped=skipped)
+    return ResolutionCheck(values=base, moved=moved, skipped=skipped, advice=_advice(system))
+
+
+def _advice(system: AbstractSystem) -> str:
+    """Recommend the static correction where the modes left out are soft beside a stop."""
+    left_out = system.flexibility_left_out()
+    if not left_out:
+        return ""
+    stops = system.equations().stops
+    share = max(
+        float(contact_slope(s)) * missing for s, missing in zip(stops, left_out, strict=True)
+    )
+    if share < 0.01:
+        return ""
+    return (
+        f"The modes left out are a spring in series with a stop, with {share:.2g} of its own "
+        "flexibility, that the system lacks: give it static_correction=True."
+    )
 
 
 def _half_rounded(system: AbstractSystem) -> AbstractSystem | None:

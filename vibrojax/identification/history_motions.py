@@ -84,7 +84,7 @@ def rig_of(system: Any, plan: Plan, frequency, release) -> Rig:
     unit = equations.angular_frequency[0] if plan.is_ratio else jnp.asarray(2 * jnp.pi)
     sensor = equations.response_map
     if plan.position is not None:
-        sensor = system.modes().shape(plan.position)
+        sensor = system.shape_at(plan.position)
     q = jnp.zeros(equations.size)
     start = system.static_shape(release) if plan.begins == "release" else q
     return Rig(

@@ -17,6 +17,7 @@ from vibrojax._tools.kinds import ARRAY
 from vibrojax._tools.signatures import refuse_kind, validated
 from vibrojax.model.drives import AbstractDrive, NoDrive
 from vibrojax.model.equations import LinearEquations
+from vibrojax.model.residual_shapes import residual_modes
 from vibrojax.model.states import Displacement, check_coordinates
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import AbstractSystem, as_stops, check_stops_and_drive
@@ -68,6 +69,9 @@ class MatrixSystem(AbstractSystem):
             relative to the base).
         response_map: displacement that a frequency response reports, by coordinate, shape (n,).
         num_modes: how many modes are kept; None keeps all n.
+        static_correction: whether one shape more for each stop makes the static flexibility there
+            exact: modes left out act as a spring in series with a stop (see
+            `vibrojax.model.residual_shapes`).
         proportional: whether the damping couples no modes, so that only the diagonal of the modal
             damping matrix is kept, also in derivatives. By default True where the matrices are
             concrete and say so, else False. Give False when other matrices, or numbers to
@@ -89,6 +93,7 @@ class MatrixSystem(AbstractSystem):
     input_map: Float[Array, " coordinates"]
     response_map: Float[Array, " coordinates"]
     num_modes: int | None = eqx.field(static=True)
+    static_correction: bool = eqx.field(static=True)
     proportional: bool = eqx.field(static=True)
 
     def __init__(
@@ -103,6 +108,7 @@ class MatrixSystem(AbstractSystem):
         drive: AbstractDrive | None = None,
         input_map: Matrix | None = None,
         num_modes: int | None = None,
+        static_correction: bool = False,
         proportional: bool | None = None,
     ) -> None:
         self.stops = as_stops(stops)
@@ -151,6 +157,7 @@ class MatrixSystem(AbstractSystem):
                     f"num_modes must be at most {n}, the number of coordinates, got {num_modes}."
                 )
         self.num_modes = num_modes
+        self.static_correction = static_correction
         self.proportional = self._decide(proportional)
 
     def _decide(self, proportional: bool | None) -> bool:
@@ -160,12 +167,17 @@ class MatrixSystem(AbstractSystem):
         matrices = [concrete(a) for a in (self.mass, self.damping, self.stiffness)]
         if any(matrix is None for matrix in matrices):
             return bool(proportional)
-        from scipy.linalg import eigh
-
         mass, damping, stiffness = matrices
-        _, vectors = eigh(mass, stiffness)
-        kept = vectors[:, ::-1][:, : self.num_modes]
-        kept = kept / np.sqrt(np.einsum("ik,ij,jk->k", kept, mass, kept))
+        if self._is_corrected:
+            kept = concrete(self.modes().shapes)
+            if kept is None:
+                return bool(proportional)
+        else:
+            from scipy.linalg import eigh
+
+            _, vectors = eigh(mass, stiffness)
+            kept = vectors[:, ::-1][:, : self.num_modes]
+            kept = kept / np.sqrt(np.einsum("ik,ij,jk->k", kept, mass, kept))
         modal = kept.T @ damping @ kept
         couples = _coupling(np, modal) > _negligible(self.mass)
         if proportional and couples:
@@ -175,6 +187,11 @@ class MatrixSystem(AbstractSystem):
             )
         return not couples
 
+    @property
+    def _is_corrected(self) -> bool:
+        fewer = self.num_modes is not None and self.num_modes < self.mass.shape[0]
+        return self.static_correction and bool(self.stops) and fewer
+
     def with_fixed_structure(self) -> "MatrixSystem":
         """Return the system with damping that may couple modes, whatever its numbers are."""
         return replace(self, proportional=False)
@@ -182,7 +199,8 @@ class MatrixSystem(AbstractSystem):
     def modes(self) -> MatrixModes:
         """Return the undamped modes that the model is reduced to.
 
-        The entry that comes first among the large ones of a shape is positive.
+        The entry that comes first among the large ones of a shape is positive. With
+        `static_correction` those of the residual shapes at the stops come behind them.
         """
         # The factor of K rather than that of M: so the lowest modes are the accurate ones, by a
         # factor of 100 in frequency for 50 beam elements, more for finer meshes.
@@ -196,7 +214,29 @@ class MatrixSystem(AbstractSystem):
         # Not the largest entry: symmetric bodies have several, of opposite signs.
         first = jnp.argmax(size > 0.3 * jnp.max(size, axis=0), axis=0)
         sign = jnp.sign(jnp.take_along_axis(shapes, first[None], axis=0))
-        return MatrixModes(1 / jnp.sqrt(flexibility), shapes * sign)
+        kept = MatrixModes(1 / jnp.sqrt(flexibility), shapes * sign)
+        if not self._is_corrected:
+            return kept
+        half = solve_triangular(lower, self.stop_map.T, lower=True)
+        static = solve_triangular(lower.T, half, lower=False)
+        rest = static - shapes @ (flexibility[:, None] * (self.stop_map @ shapes).T)
+        frequency, shares = residual_modes(
+            self.stop_map @ rest,
+            rest.T @ self.mass @ rest,
+            jnp.sum(half**2, axis=0),
+            kept.angular_frequency[-1],
+        )
+        return MatrixModes(
+            jnp.concatenate([kept.angular_frequency, frequency]),
+            jnp.concatenate([kept.shapes, rest @ shares], axis=1),
+        )
+
+    def flexibility_left_out(self) -> list[float]:
+        """Static flexibility at each stop that the modes kept lack, m/N."""
+        frequency, shapes = self.modes()
+        static = jnp.linalg.solve(self.stiffness, self.stop_map.T)
+        kept = jnp.sum((self.stop_map @ shapes / frequency) ** 2, axis=1)
+        return [float(f) for f in jnp.sum(self.stop_map.T * static, axis=0) - kept]
 
     def modal_coordinates(self, displacement: Displacement) -> Float[Array, " modes"]:
         """Return q of displacements x (or velocities) of shape (n,); x = modes().shapes @ q.
