@@ -312,15 +312,16 @@ def _frequency_error(
     """Bound the relative error of the first natural frequencies.
 
     The residual of a mode in the norm of the inverse stiffness bounds the distance to an
-    eigenvalue; its square over the distance to the next one does too (Kato and Temple).
+    eigenvalue; its square over the distance to the next one does too (Kato and Temple; Parlett
+    1998, The Symmetric Eigenvalue Problem, ch. 11). Modes closer than the bound count together.
     """
-    found, moving = squares[:count], shapes[:, :count]
-    residual = model.stiffness @ moving - (model.mass @ moving) * found
+    residual = model.stiffness @ shapes - (model.mass @ shapes) * squares
     norm = np.einsum("ij,ij->j", residual, model.solve(residual))
-    share = np.sqrt(np.maximum(norm, 0.0) / found)
-    away = np.abs(found[:, None] / squares[None] - 1)
-    away[np.arange(count), np.arange(count)] = np.inf
-    return np.minimum(share, share**2 / np.maximum(away.min(axis=1), 1e-300)) / 2
+    share = np.sqrt(np.maximum(norm, 0.0) / squares)
+    away = np.abs(squares[:, None] / squares[None] - 1)
+    together = away <= share[:, None]
+    next_one = np.min(np.where(together, np.inf, away), axis=1)
+    return np.minimum(share, together @ share**2 / next_one)[:count] / 2
 
 
 def _flexibility_error(
