@@ -54,8 +54,9 @@ class FiniteElements:
         damping: Any = None,
         degrees_of_freedom: ArrayLike | Sequence[Any] | None = None,
     ) -> None:
-        self.stiffness = _sparse("stiffness", stiffness, None)
-        n = self.stiffness.shape[0]
+        first = _sparse("stiffness", stiffness, None)
+        n = first.shape[0]
+        self.stiffness = first
         self.mass = _sparse("mass", mass, n)
         self.damping = None if damping is None else _sparse("damping", damping, n)
         if degrees_of_freedom is None:
@@ -127,7 +128,7 @@ class FiniteElements:
     def held(self, *, nodes: ArrayLike | Sequence[int]) -> "FiniteElements":
         """Return the model with all degrees of freedom of some nodes held, and so left out.
 
-        `nodes` is a list of node numbers, each of the model, else `ValueError` is raised.
+        `nodes` is a list of node numbers. Raises `ValueError` for one that is not of the model.
         """
         wanted = np.atleast_1d(np.asarray(nodes))
         missing = np.setdiff1d(wanted, self.degrees_of_freedom[:, 0])
@@ -151,17 +152,17 @@ class FiniteElements:
         nodes = len(np.unique(self.degrees_of_freedom[:, 0]))
         damped = "without damping" if self.damping is None else "with damping"
         return (
-            f"FiniteElements({self.mass.shape[0]} degrees of freedom at {nodes} nodes, "
+            f"FiniteElements({len(self.degrees_of_freedom)} degrees of freedom at {nodes} nodes, "
             f"{self.stiffness.nnz} entries of the stiffness, {damped})"
         )
 
 
-def _sparse(name: str, given: Any, size: int | None) -> "csc_array":
+def _sparse(name: str, given: Any, size: int | None) -> Any:
     """Return a matrix as `csc_array`. Raises `ValueError` unless it is symmetric and finite."""
     from scipy import sparse
 
     try:
-        matrix = sparse.csc_array(given, dtype=float)
+        matrix: Any = sparse.csc_array(given, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(
             f"{name} must be a sparse matrix of scipy or an array, got {in_short(given)}."

@@ -1,7 +1,7 @@
 """A large finite-element model reduced to what its stops and sensors feel, up to a frequency."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,9 +14,6 @@ from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.finite_elements import FiniteElements
 from vibrojax.model.matrix_system import MatrixSystem
 from vibrojax.model.stops import Stop
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_array
 
 METHODS = ("craig_bampton", "modal")
 MARGIN = 2.0
@@ -107,8 +104,8 @@ class Reduction(eqx.Module):
 
 
 class _Model(NamedTuple):
-    mass: "csc_array"
-    stiffness: "csc_array"
+    mass: Any
+    stiffness: Any
     solve: Solve
     """K x = b, for one or several columns."""
 
@@ -153,7 +150,7 @@ def reduce(
     """
     check_positive("highest_frequency", highest_frequency, "Hz")
     check_choice("method", method, METHODS)
-    n = elements.mass.shape[0]
+    n = len(elements.degrees_of_freedom)
     response = _rows("response_map", response_map, (n,))
     stops = np.zeros((0, n)) if stop_map is None else _rows("stop_map", stop_map, (-1, n))
     load = None if input_map is None else _rows("input_map", input_map, (n,))
@@ -243,9 +240,16 @@ def _independent(rows: Float[np.ndarray, "rows coordinates"]) -> Held:
     return across[size > 1e-9 * size[0]].T
 
 
+def _operator(size: int, apply: Solve) -> Any:
+    from scipy.sparse.linalg import LinearOperator
+
+    make: Any = LinearOperator  # whose stub has the arguments of one of its subclasses
+    return make((size, size), matvec=apply, dtype=float)
+
+
 def _modes_to(limit: float, model: _Model, held: Held) -> tuple[Squares, Shapes]:
     """Return the squares and shapes of the modes up to a limit, rad/s, with columns held."""
-    from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
+    from scipy.sparse.linalg import ArpackError, eigsh
 
     n = model.mass.shape[0]
     answer = model.solve(held)
@@ -256,7 +260,7 @@ def _modes_to(limit: float, model: _Model, held: Held) -> tuple[Squares, Shapes]
         moved = model.solve(np.ravel(force))
         return moved - constraint @ (held.T @ moved)
 
-    inverse = LinearOperator((n, n), matvec=apply, dtype=float)
+    inverse = _operator(n, apply)
     start = np.random.default_rng(0).standard_normal(n)
     count, most = 24, (n - held.shape[1]) // 2
     while True:
@@ -268,7 +272,7 @@ def _modes_to(limit: float, model: _Model, held: Held) -> tuple[Squares, Shapes]
                 model.stiffness, count, model.mass, sigma=0.0, OPinv=inverse, v0=start
             )
         except ArpackError:
-            squares = np.zeros(0)
+            squares, shapes = np.zeros(0), np.zeros((n, 0))
         if squares.size and squares[-1] > limit**2:
             kept = max(1, int(np.sum(squares <= limit**2)))
             return squares[:kept], shapes[:, :kept]
@@ -333,10 +337,9 @@ def _flexibility_error(
     model: _Model,
 ) -> float:
     """Return the largest error of the flexibility between the rows, over the static one."""
-    from scipy.sparse.linalg import LinearOperator, minres
+    from scipy.sparse.linalg import minres
 
-    n = model.mass.shape[0]
-    inverse = LinearOperator((n, n), matvec=model.solve, dtype=float)
+    inverse = _operator(len(shapes), model.solve)
     natural = np.concatenate([[0.0], np.sqrt(squares)])
     size, worst = np.linalg.norm(rows @ static), 0.0
     for wanted in 2 * np.pi * highest_frequency * np.array([0.5, 1.0]):
