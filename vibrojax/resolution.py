@@ -14,6 +14,7 @@ from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
 from vibrojax.model.rigidity import StopSoftness, softness_of_stops, with_shorter_contacts
+from vibrojax.model.stop_forces import contact_slope
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import AbstractSystem, held_stops, with_changed_stops
 from vibrojax.results.variables import described_as
@@ -69,6 +70,8 @@ class ResolutionCheck(eqx.Module):
     """What was not varied, and why."""
     rigidity: Rigidity | None = None
     """How far the stops are from rigid ones, where that was asked for."""
+    advice: str = ""
+    """What is recommended, or nothing."""
 
     @property
     def relative(self) -> dict[str, dict[str, float]]:
@@ -133,7 +136,7 @@ class ResolutionCheck(eqx.Module):
         lines += [f"  {what}: not varied, {why}" for what, why in self.skipped.items()]
         if self.rigidity is not None:
             lines.append("  " + repr(self.rigidity).replace("\n", "\n  "))
-        return "\n".join(lines)
+        return "\n".join(lines + [f"  {self.advice}"] * bool(self.advice))
 
     def _sentence(self, what: str, name: str, change: float) -> str:
         if np.isinf(change):
@@ -163,8 +166,9 @@ def check_resolution(
 
     Returns how far every number moved, and in its `rigidity` how far the stops are from rigid ones
     and which laws would reach the error asked for. What a system does not have (rounding, a number
-    of modes) is not varied, and said. Raises `ValueError` when the study returns nothing
-    comparable.
+    of modes) is not varied, and said. Where the modes left out give way by more than a hundredth
+    of what a stop does, `static_correction=True` is recommended. Raises `ValueError` when the study
+    returns nothing comparable.
 
     For example `vj.check_resolution(lambda s, m: vj.periodic_response(s, frequency_ratio=1.1,
     method=m), rig)`.
@@ -200,7 +204,8 @@ def check_resolution(
             skipped[what] = why
         else:
             moved[what] = _moved(base, _numbers(study(other, how)))
-    check = ResolutionCheck(values=base, moved=moved, skipped=skipped)
+    advice = _advice(system)
+    check = ResolutionCheck(values=base, moved=moved, skipped=skipped, advice=advice)
     if rigid_within is None:
         return check
     shorter = with_shorter_contacts(system, 2.0)
@@ -219,6 +224,23 @@ def check_resolution(
 def _drive_period(result: Any) -> float | None:
     """Period of the drive, s, where the result is at one frequency."""
     return 1 / float(result.frequency) if isinstance(result, PeriodicResponse) else None
+
+
+def _advice(system: AbstractSystem) -> str:
+    """Recommend the static correction where the modes left out are soft beside a stop."""
+    left_out = system.flexibility_left_out()
+    if not left_out:
+        return ""
+    stops = system.equations().stops
+    share = max(
+        float(contact_slope(s)) * missing for s, missing in zip(stops, left_out, strict=True)
+    )
+    if share < 0.01:
+        return ""
+    return (
+        f"The modes left out are a spring in series with a stop, with {share:.2g} of its own "
+        "flexibility, that the system lacks: give it static_correction=True."
+    )
 
 
 def _half_rounded(system: AbstractSystem) -> AbstractSystem | None:

@@ -106,6 +106,6 @@ def modes_left_out(system: AbstractSystem, deviation: float) -> list[str]:
             sentences.append(
                 f"With num_modes={equations.size}, {missing:.3g} m/N of the beam's static "
                 f"flexibility at the stop is left out, so the stiffness comes out too low, {much}. "
-                "No misfit shows this: keep more modes."
+                "No misfit shows this: keep more modes, or give the system static_correction=True."
             )
     return sentences

@@ -1,5 +1,6 @@
-"""Rig files and measurements, read."""
+"""Rig files, measurements and matrices, read."""
 
+from vibrojax.io.matrix_files import read_matrices as read_matrices
 from vibrojax.io.rig_file import read_rig as read_rig
 from vibrojax.measured.curve import MeasuredCurve as MeasuredCurve
 from vibrojax.measured.curve import MeasuredCurves as MeasuredCurves

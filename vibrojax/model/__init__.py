@@ -4,6 +4,7 @@ from vibrojax.model.drives import AbstractDrive as AbstractDrive
 from vibrojax.model.drives import AbstractWaveform as AbstractWaveform
 from vibrojax.model.equations import AbstractEquations as AbstractEquations
 from vibrojax.model.equations import LinearEquations as LinearEquations
+from vibrojax.model.finite_elements import FiniteElements as FiniteElements
 from vibrojax.model.internal_states import InternalStates as InternalStates
 from vibrojax.model.laws import AbstractContactLaw as AbstractContactLaw
 from vibrojax.model.laws import AbstractLinearLaw as AbstractLinearLaw
@@ -13,6 +14,8 @@ from vibrojax.model.modes import Modes as Modes
 from vibrojax.model.oscillator import Oscillator as Oscillator
 from vibrojax.model.piezo import PiezoLayers as PiezoLayers
 from vibrojax.model.piezo import bimorph as bimorph
+from vibrojax.model.reduction import Reduction as Reduction
+from vibrojax.model.reduction import reduce as reduce
 from vibrojax.model.relaxing_laws import AbstractRelaxingLaw as AbstractRelaxingLaw
 from vibrojax.model.relaxing_laws import MaxwellChain as MaxwellChain
 from vibrojax.model.systems import AbstractSystem as AbstractSystem

@@ -13,6 +13,7 @@ from vibrojax.model.beam import Cantilever
 from vibrojax.model.drives import AbstractDrive, NoDrive, PointForce
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.modes import FORMULATIONS, Modes, modes
+from vibrojax.model.residual_shapes import CorrectedModes, corrected_modes
 from vibrojax.model.states import Displacement, beam_coordinates
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import AbstractSystem, as_stops
@@ -26,7 +27,8 @@ class ImpactingBeam(AbstractSystem):
     default `consistent` formulation corrects their modal mass and participation (see `modes`).
 
     Raises `ValueError` for num_modes below 1, a negative damping ratio, an unknown formulation,
-    stops and drive that are none, or a stop without a position.
+    static_correction with `as_printed`, stops and drive that are none, or a stop without a
+    position.
     """
 
     beam: Cantilever
@@ -41,6 +43,10 @@ class ImpactingBeam(AbstractSystem):
     """How many modes are kept."""
     formulation: str = eqx.field(static=True, default="consistent")
     """`consistent`, or `as_printed` to replicate the paper."""
+    static_correction: bool = eqx.field(static=True, default=False)
+    """Whether one shape more for each stop makes the static flexibility there exact.
+
+    Modes left out act as a spring in series with a stop; see `vibrojax.model.residual_shapes`."""
 
     def __check_init__(self) -> None:
         """Refuse concrete values that are not a rig."""
@@ -53,20 +59,34 @@ class ImpactingBeam(AbstractSystem):
         check_not_negative("damping_ratio", self.damping_ratio, "(fraction of critical)")
         check_count("num_modes", self.num_modes, most=1000)
         check_choice("formulation", self.formulation, FORMULATIONS)
+        if self.static_correction and self.formulation != "consistent":
+            raise ValueError(
+                "static_correction must be False with formulation='as_printed', got True: residual "
+                "shapes are orthogonal to consistent modes only."
+            )
 
     def modes(self) -> Modes:
         """Return the modes of the free beam that the model is reduced to."""
         return modes(self.beam, self.num_modes, self.formulation)
 
+    def _basis(self) -> Modes | CorrectedModes:
+        """Return the modes, and what static_correction adds to them."""
+        free = self.modes()
+        if not (self.static_correction and self.stops):
+            return free
+        return corrected_modes(self.beam, free, self._places())
+
+    def _places(self) -> Float[Array, " stops"]:
+        return jnp.stack([jnp.asarray(stop.position, float) for stop in self.stops])
+
     def equations(self) -> LinearEquations:
         """Reduce the beam to its modes and place the stops and the drive on them."""
-        free = self.modes()
+        free = self._basis()
         if self.stops:
-            places = jnp.stack([jnp.asarray(stop.position) for stop in self.stops])
             towards = jnp.asarray([float(stop.side) for stop in self.stops])
-            stop_map = towards[:, None] * free.shape(places)
+            stop_map = towards[:, None] * free.shape(self._places())
         else:
-            stop_map = jnp.zeros((0, self.num_modes))
+            stop_map = jnp.zeros((0, free.num_modes))
         if isinstance(self.drive, PointForce):
             input_map = free.shape(self.drive.position) / free.modal_mass
         else:
@@ -74,7 +94,7 @@ class ImpactingBeam(AbstractSystem):
         return LinearEquations(
             stops=self.stops,
             angular_frequency=free.angular_frequency,
-            damping_ratio=self.damping_ratio * jnp.ones(self.num_modes),
+            damping_ratio=self.damping_ratio * jnp.ones(free.num_modes),
             input_map=input_map,
             stop_map=stop_map,
             force_map=(stop_map / free.modal_mass).T,
@@ -103,7 +123,7 @@ class ImpactingBeam(AbstractSystem):
 
     def shape_at(self, position: ArrayLike) -> Float[Array, " modes"]:
         """Return the mode shapes at a place x/L; `position` is from 0 (root) to 1 (tip)."""
-        return self.modes().shape(position)
+        return self._basis().shape(position)
 
     def flexibility_left_out(self) -> list[float]:
         """Static flexibility at each stop that the modes kept lack, m/N."""
@@ -127,7 +147,7 @@ class ImpactingBeam(AbstractSystem):
         numbers (m) by place, at least as many as there are modes. Raises `ValueError` for anything
         else; warns where the modes leave out more than a tenth of it.
         """
-        return beam_coordinates(self.beam, self.modes(), displacement)
+        return beam_coordinates(self.beam, self._basis(), displacement)
 
     @validated(traceable=True)
     def static_shape(self, tip_displacement: ArrayLike) -> Float[Array, " modes"]:
@@ -136,7 +156,7 @@ class ImpactingBeam(AbstractSystem):
         The force is whatever brings the tip to `tip_displacement` (m); let go, the beam is
         released from there (Ledezma-Ramirez et al., free vibration tests).
         """
-        free = self.modes()
+        free = self._basis()
         tip = free.shape(1.0)
         flexibility = tip / (free.modal_mass * free.angular_frequency**2)
         return jnp.asarray(tip_displacement) * flexibility / (tip @ flexibility)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,9 +13,11 @@ from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import check_count, concrete
 from vibrojax._tools.described import shown_value
-from vibrojax._tools.signatures import validated
+from vibrojax._tools.kinds import ARRAY
+from vibrojax._tools.signatures import refuse_kind, validated
 from vibrojax.model.drives import AbstractDrive, NoDrive
 from vibrojax.model.equations import LinearEquations
+from vibrojax.model.residual_shapes import residual_modes
 from vibrojax.model.states import Displacement, check_coordinates
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import (
@@ -25,7 +27,14 @@ from vibrojax.model.systems import (
     check_without_places,
 )
 
+if TYPE_CHECKING:
+    from scipy.sparse import sparray, spmatrix
+
+    SparseMatrix = sparray | spmatrix
+
 Matrix = ArrayLike | Sequence[Any]
+MOST = 3000
+"""Rows of a sparse matrix, up to which it is made dense: its eigenvalues take 10 s then."""
 
 
 class MatrixModes(NamedTuple):
@@ -50,7 +59,8 @@ class MatrixSystem(AbstractSystem):
     There are n coordinates; units below are those of displacements, rotations have theirs.
 
     Parameters:
-        mass: M, shape (n, n), symmetric and positive definite, kg.
+        mass: M, shape (n, n), symmetric and positive definite, kg. Each matrix may be a sparse one
+            of scipy; large ones are reduced first (`vibrojax.model.reduce`).
         damping: C, shape (n, n), symmetric, N s/m.
         stiffness: K, shape (n, n), symmetric and positive definite, N/m.
         stops: one or several `Stop`, with position None: stop_map places them.
@@ -64,6 +74,9 @@ class MatrixSystem(AbstractSystem):
             relative to the base).
         response_map: displacement that a frequency response reports, by coordinate, shape (n,).
         num_modes: how many modes are kept; None keeps all n.
+        static_correction: whether one shape more for each stop makes the static flexibility there
+            exact: modes left out act as a spring in series with a stop (see
+            `vibrojax.model.residual_shapes`).
         proportional: whether the damping couples no modes, so that only the diagonal of the modal
             damping matrix is kept, also in derivatives. By default True where the matrices are
             concrete and say so, else False. Give False when other matrices, or numbers to
@@ -85,13 +98,14 @@ class MatrixSystem(AbstractSystem):
     input_map: Float[Array, " coordinates"]
     response_map: Float[Array, " coordinates"]
     num_modes: int | None = eqx.field(static=True)
+    static_correction: bool = eqx.field(static=True)
     proportional: bool = eqx.field(static=True)
 
     def __init__(
         self,
-        mass: Matrix,
-        damping: Matrix,
-        stiffness: Matrix,
+        mass: "Matrix | SparseMatrix",
+        damping: "Matrix | SparseMatrix",
+        stiffness: "Matrix | SparseMatrix",
         *,
         response_map: Matrix,
         stops: Stop | tuple[Stop, ...] | list[Stop] = (),
@@ -99,17 +113,18 @@ class MatrixSystem(AbstractSystem):
         drive: AbstractDrive | None = None,
         input_map: Matrix | None = None,
         num_modes: int | None = None,
+        static_correction: bool = False,
         proportional: bool | None = None,
     ) -> None:
         self.stops = as_stops(stops)
         self.drive = NoDrive() if drive is None else drive
         check_stops_and_drive(self.stops, self.drive)
         check_without_places("a MatrixSystem", self.stops, "Its row of stop_map says where it is.")
-        self.mass = jnp.asarray(mass, float)
+        self.mass = _dense("mass", mass)
         n = self.mass.shape[0] if self.mass.ndim else 0
         _check_array("mass", self.mass, (n, n), "a square matrix")
-        self.damping = jnp.asarray(damping, float)
-        self.stiffness = jnp.asarray(stiffness, float)
+        self.damping = _dense("damping", damping)
+        self.stiffness = _dense("stiffness", stiffness)
         for name in ("damping", "stiffness"):
             _check_array(name, getattr(self, name), (n, n), "of the shape of mass")
         for name in ("mass", "damping", "stiffness"):
@@ -142,6 +157,7 @@ class MatrixSystem(AbstractSystem):
                     f"num_modes must be at most {n}, the number of coordinates, got {num_modes}."
                 )
         self.num_modes = num_modes
+        self.static_correction = static_correction
         self.proportional = self._decide(proportional)
 
     def _decide(self, proportional: bool | None) -> bool:
@@ -151,12 +167,17 @@ class MatrixSystem(AbstractSystem):
         matrices = [concrete(a) for a in (self.mass, self.damping, self.stiffness)]
         if any(matrix is None for matrix in matrices):
             return bool(proportional)
-        from scipy.linalg import eigh
-
         mass, damping, stiffness = matrices
-        _, vectors = eigh(mass, stiffness)
-        kept = vectors[:, ::-1][:, : self.num_modes]
-        kept = kept / np.sqrt(np.einsum("ik,ij,jk->k", kept, mass, kept))
+        if self._is_corrected:
+            kept = concrete(self.modes().shapes)
+            if kept is None:
+                return bool(proportional)
+        else:
+            from scipy.linalg import eigh
+
+            _, vectors = eigh(mass, stiffness)
+            kept = vectors[:, ::-1][:, : self.num_modes]
+            kept = kept / np.sqrt(np.einsum("ik,ij,jk->k", kept, mass, kept))
         modal = kept.T @ damping @ kept
         couples = _coupling(np, modal) > _negligible(self.mass)
         if proportional and couples:
@@ -165,6 +186,11 @@ class MatrixSystem(AbstractSystem):
                 "it out to have it decided (proportional=None in dataclasses.replace)."
             )
         return not couples
+
+    @property
+    def _is_corrected(self) -> bool:
+        fewer = self.num_modes is not None and self.num_modes < self.mass.shape[0]
+        return self.static_correction and bool(self.stops) and fewer
 
     def with_fixed_structure(self) -> "MatrixSystem":
         """Return the system with damping that may couple modes, whatever its numbers are."""
@@ -190,7 +216,8 @@ class MatrixSystem(AbstractSystem):
     def modes(self) -> MatrixModes:
         """Return the undamped modes that the model is reduced to.
 
-        The entry that comes first among the large ones of a shape is positive.
+        The entry that comes first among the large ones of a shape is positive. With
+        `static_correction` those of the residual shapes at the stops come behind them.
         """
         # The factor of K rather than that of M: so the lowest modes are the accurate ones, by a
         # factor of 100 in frequency for 50 beam elements, more for finer meshes.
@@ -204,7 +231,29 @@ class MatrixSystem(AbstractSystem):
         # Not the largest entry: symmetric bodies have several, of opposite signs.
         first = jnp.argmax(size > 0.3 * jnp.max(size, axis=0), axis=0)
         sign = jnp.sign(jnp.take_along_axis(shapes, first[None], axis=0))
-        return MatrixModes(1 / jnp.sqrt(flexibility), shapes * sign)
+        kept = MatrixModes(1 / jnp.sqrt(flexibility), shapes * sign)
+        if not self._is_corrected:
+            return kept
+        half = solve_triangular(lower, self.stop_map.T, lower=True)
+        static = solve_triangular(lower.T, half, lower=False)
+        rest = static - shapes @ (flexibility[:, None] * (self.stop_map @ shapes).T)
+        frequency, shares = residual_modes(
+            self.stop_map @ rest,
+            rest.T @ self.mass @ rest,
+            jnp.sum(half**2, axis=0),
+            kept.angular_frequency[-1],
+        )
+        return MatrixModes(
+            jnp.concatenate([kept.angular_frequency, frequency]),
+            jnp.concatenate([kept.shapes, rest @ shares], axis=1),
+        )
+
+    def flexibility_left_out(self) -> list[float]:
+        """Static flexibility at each stop that the modes kept lack, m/N."""
+        frequency, shapes = self.modes()
+        static = jnp.linalg.solve(self.stiffness, self.stop_map.T)
+        kept = jnp.sum((self.stop_map @ shapes / frequency) ** 2, axis=1)
+        return [float(f) for f in jnp.sum(self.stop_map.T * static, axis=0) - kept]
 
     def modal_coordinates(self, displacement: Displacement) -> Float[Array, " modes"]:
         """Return q of displacements x (or velocities) of shape (n,); x = modes().shapes @ q.
@@ -249,6 +298,20 @@ class MatrixSystem(AbstractSystem):
             modal_mass=jnp.ones_like(frequency),
             damping_coupling=coupling,
         )
+
+
+def _dense(name: str, given: Any) -> Array:
+    """Return a matrix as an array. Raises `ValueError` for a large sparse one, or none."""
+    if hasattr(given, "toarray"):
+        if max(given.shape) > MOST:
+            raise ValueError(
+                f"{name} must have at most {MOST} coordinates if it is sparse, got "
+                f"{max(given.shape)}. Reduce the model first, by vibrojax.model.reduce."
+            )
+        given = given.toarray()
+    if not ARRAY.accepts(given):
+        refuse_kind(name, given, ARRAY)
+    return jnp.asarray(given, float)
 
 
 def _negligible(matrix: Array) -> float:

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from vibrojax._tools.described import shown_value
-from vibrojax.model.equations import contact_slope
+from vibrojax.model.stop_forces import contact_slope
 from vibrojax.model.laws import AbstractContactLaw
 from vibrojax.model.systems import (
     AbstractSystem,

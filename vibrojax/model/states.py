@@ -14,6 +14,7 @@ from vibrojax._tools.checks import check_range, concrete
 from vibrojax._tools.warn import warn
 from vibrojax.model.beam import Cantilever
 from vibrojax.model.modes import Modes
+from vibrojax.model.residual_shapes import CorrectedModes
 
 Displacement = ArrayLike | Sequence[Any] | Mapping[Any, Any] | Callable[..., Any]
 """Displacements of a system: an array, or of a beam a function of x/L or numbers by place x/L."""
@@ -77,7 +78,7 @@ def check_coordinates(name: str, given: Any, count: int, meaning: str) -> Float[
 
 
 def beam_coordinates(
-    beam: Cantilever, free: Modes, displacement: Displacement
+    beam: Cantilever, free: Modes | CorrectedModes, displacement: Displacement
 ) -> Float[Array, " modes"]:
     """Return the modal coordinates, m, of a displacement of a beam; see `ImpactingBeam`."""
     if callable(displacement):
@@ -91,7 +92,9 @@ def beam_coordinates(
     )
 
 
-def _projected(beam: Cantilever, free: Modes, displacement: Callable[..., Any]) -> Array:
+def _projected(
+    beam: Cantilever, free: Modes | CorrectedModes, displacement: Callable[..., Any]
+) -> Array:
     """Project a function of x/L on the modes, with the mass of the beam and all masses on it."""
     low, length = free.knots[:-1], jnp.diff(free.knots)
     places = (low[:, None] + length[:, None] * (1 + NODES) / 2).reshape(-1)
@@ -123,7 +126,7 @@ def _values(displacement: Callable[..., Any], places: Array) -> Array:
     return values
 
 
-def _fitted(free: Modes, displacement: Mapping[Any, Any]) -> Array:
+def _fitted(free: Modes | CorrectedModes, displacement: Mapping[Any, Any]) -> Array:
     """Fit the modes to displacements at some places, by least squares."""
     places = jnp.asarray(list(displacement), float)
     shapes = free.shape(places)
