@@ -56,6 +56,8 @@ from vibrojax.model.laws import StandardLinearSolid as StandardLinearSolid
 from vibrojax.model.linearised_pendulum import LinearisedPendulum as LinearisedPendulum
 from vibrojax.model.matrix_system import MatrixSystem as MatrixSystem
 from vibrojax.model.modes import modes as modes
+from vibrojax.model.signals import Sampled as Sampled
+from vibrojax.model.signals import Tones as Tones
 from vibrojax.model.stops import Stop as Stop
 from vibrojax.plot.maps import plot_map as plot_map
 from vibrojax.plot.maps import plot_map_summary as plot_map_summary

@@ -38,10 +38,19 @@ class AbstractSignal(AbstractWaveform):
     def input(self, drive: "AbstractDrive", time: Values) -> Values:
         """Return what a drive puts in at `time` (s): m/s2 or N; see `AbstractDrive.input`."""
 
+    @abstractmethod
+    def strength(self, drive: "AbstractDrive") -> Values:
+        """Return the largest input by a drive, about, m/s2 or N."""
+
     @property
     @abstractmethod
     def start(self) -> Values:
         """When motions under it begin, s."""
+
+    @property
+    @abstractmethod
+    def clock(self) -> Values:
+        """Angular frequency by which steps are chosen where a system has no modes, rad/s."""
 
     def phase(self, time: Values) -> tuple[Values, Values, Values]:
         """Raise `ValueError`: there is none."""

@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -18,7 +19,8 @@ FEWEST = 2
 
 def _samples(name: str, values: Any) -> Float[Array, " samples"]:
     """Return samples as an array. Raises `ValueError` for what are none."""
-    array = jnp.asarray(values, float)
+    with jax.ensure_compile_time_eval():  # known numbers stay known inside of jit
+        array = jnp.asarray(values, float)
     if array.ndim != 1 or array.shape[0] < FEWEST:
         raise ValueError(
             f"{name} must be a list of at least {FEWEST} samples, got the shape {array.shape}."
@@ -85,6 +87,15 @@ class Sampled(AbstractSignal):
     def start(self) -> Values:
         """Time of the first sample, s."""
         return self.time[0]
+
+    @property
+    def clock(self) -> Values:
+        """A turn in 64 samples, rad/s."""
+        return 2 * jnp.pi / 64 * (self.time.shape[0] - 1) / (self.time[-1] - self.time[0])
+
+    def strength(self, drive: AbstractDrive) -> Values:
+        """Return the largest input by a drive, m/s2 or N."""
+        return abs(drive.signal_factor) * jnp.max(jnp.abs(self.values))
 
     def input(self, drive: AbstractDrive, time: Values) -> Values:
         """Return what a drive puts in at `time` (s): m/s2 or N."""
@@ -163,6 +174,17 @@ class Tones(AbstractSignal):
     def start(self) -> Values:
         """0 s."""
         return jnp.zeros(())
+
+    @property
+    def clock(self) -> Values:
+        """Angular frequency of the first tone, rad/s."""
+        return 2 * jnp.pi * self.frequencies[0]
+
+    def strength(self, drive: AbstractDrive) -> Values:
+        """Return the sum of the amplitudes of the input by a drive, m/s2 or N."""
+        rate = 2 * jnp.pi * self.frequencies
+        amplitude = drive.complex_amplitude(rate, jnp.zeros_like(rate))
+        return jnp.sum(jnp.abs(self.shares * amplitude))
 
     def input(self, drive: AbstractDrive, time: Values) -> Values:
         """Return what a drive puts in at `time` (s): m/s2 or N."""
