@@ -75,15 +75,16 @@ def _measure_batch(
     deceleration = damping[:, None, None] * v
     if equations.damping_coupling is not None:
         deceleration = deceleration + jnp.tensordot(equations.damping_coupling, v, axes=1)
-    _, _, rate, amplitude = lanes
+    _, _, rate, amplitude, level, slope = lanes
     angle = motion.angle[:, None] + rate[:, None] * time
     drive = amplitude.real[:, None] * jnp.sin(angle) + amplitude.imag[:, None] * jnp.cos(angle)
+    drive = drive + level[:, None] + slope[:, None] * time
     power = drive * jnp.tensordot(equations.modal_mass * equations.input_map, v, axes=1)
 
     depth, depth_rate, acceleration = read_stops(phases, phase, blocks)
     held = touching_bits(phases, phase)[:, None, None]
     k, c = held * phases.stiffness[:, None, None], held * phases.damping[:, None, None]
-    force, slope = k * depth + c * depth_rate, k * depth_rate + c * acceleration
+    force, change = k * depth + c * depth_rate, k * depth_rate + c * acceleration
     stored = k * depth**2 / 2
     cell = length[:, None] * jnp.diff(share)
 
@@ -98,8 +99,8 @@ def _measure_batch(
         "input_work": integral(power),
         "loss": integral(c * depth_rate**2),
         "impulse": integral(force),
-        "highest": top(force, slope),
-        "lowest": -top(-force, -slope),
+        "highest": top(force, change),
+        "lowest": -top(-force, -change),
         "deepest": top(depth, depth_rate),
         "stored_start": stored[..., 0],
         "stored_end": stored[..., -1],

@@ -149,7 +149,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         pulled = from_state @ jnp.concatenate([jnp.zeros(n), push @ (stiffness * gap)])
         decay = jnp.stack([values[first].real, values[second].real])
         turn = jnp.where(oscillates, values[first].imag, 0.0)
-        rest = _at_rest(decay, turn, pulled)
+        rest = block_rest(decay, turn, pulled)
         drive = jnp.concatenate([jnp.zeros(n), equations.input_map / unit])
         return (
             decay * unit,
@@ -213,9 +213,11 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     )
 
 
-def _at_rest(
-    decay: Float[Array, "2 blocks"], turn: Float[Array, " blocks"], pulled: Float[Array, " states"]
-) -> Float[Array, " states"]:
+def block_rest(
+    decay: Float[Array, "2 blocks *#lanes"],
+    turn: Float[Array, "blocks *#lanes"],
+    pulled: Float[Array, "states *lanes"],
+) -> Float[Array, "states *lanes"]:
     """Block coordinates at which the blocks, [[a, -b], [b, a]] or diag(a1, a2), undo a pull."""
     top, bottom = jnp.split(pulled, 2)
     determinant = decay[0] * decay[1] + turn**2

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from vibrojax._tools.checks import concrete
+from vibrojax._tools.compiled import compiled
 from vibrojax.model.drives import AbstractSignal
 from vibrojax.model.signals import Sampled, Tones
 from vibrojax.model.systems import Motion
@@ -50,7 +51,7 @@ def signal_grid(
         ratio = Fraction(interval / spacing).limit_denominator(FINEST)
         off = abs(interval / spacing - ratio) * count
         if not waveform.equally_spaced or ratio <= 0 or off > 1e-6:
-            return _unequal(time, start + interval * np.arange(count + 1))
+            return unequal_grid(time, start + interval * np.arange(count + 1))
     finer = math.ceil(interval / ratio.numerator * fastest / LONGEST)
     stride = ratio.numerator * max(1, min(finer, FINEST))
     return SignalGrid(
@@ -58,7 +59,7 @@ def signal_grid(
     )
 
 
-def _unequal(time: np.ndarray, wanted: np.ndarray) -> SignalGrid:
+def unequal_grid(time: np.ndarray, wanted: np.ndarray) -> SignalGrid:
     """Take the times of the record and those wanted together."""
     inside = time[(time > wanted[0]) & (time < wanted[-1])]
     nearest = wanted[np.clip(np.searchsorted(wanted, inside), 1, wanted.size - 1) - np.array([[1], [0]])]
@@ -78,6 +79,7 @@ def times_of_record(waveform: Sampled) -> Float[np.ndarray, " samples"]:
     return time
 
 
+@compiled
 def march_on_grid(
     motion: Motion, grid: SignalGrid, state: Float[Array, " states"], *, reverse: bool
 ) -> Float[Array, "samples states"]:
