@@ -44,7 +44,7 @@ def cut_at_corners(
         grid = unequal_grid(times_of_record(waveform), time)
         if grid.knots.shape[0] == time.size:
             return time, np.asarray(states)
-    grid = SignalGrid(grid.knots, jnp.arange(grid.knots.shape[0]), 1) if grid.kept is not None else grid
+        grid = SignalGrid(grid.knots, jnp.arange(grid.knots.shape[0]), 1)  # all of them kept
     first: Array = jnp.asarray(states[0])
     return np.asarray(grid.knots), np.asarray(march_on_grid(motion, grid, first, reverse=False))
 

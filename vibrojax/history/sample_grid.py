@@ -77,7 +77,8 @@ def sample_grid(
         samples = count * samples_per_period
         samples = math.ceil(samples) if periods is None else max(1, round(samples))
     _check_most(samples, "duration" if periods is None else "periods")
-    return SampleGrid(length * jnp.linspace(0.0, 1.0, samples + 1), samples / float(count), None, None, None)
+    times = length * jnp.linspace(0.0, 1.0, samples + 1)
+    return SampleGrid(times, samples / float(count), None, None, None)
 
 
 def _check_most(samples: int, length_name: str) -> None:

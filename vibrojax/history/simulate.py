@@ -58,7 +58,8 @@ def motion(
     """Put the equations of a system and its drive in time together: the `args` of the solvers.
 
     Give at most one of `frequency` (Hz), `frequency_ratio` (to the first natural frequency of the
-    unstopped system) and `waveform` (`Harmonic`, `Chirp`, `Tones`, `Sampled`). Raises `ValueError` for more than one.
+    unstopped system) and `waveform` (`Harmonic`, `Chirp`, `Tones`, `Sampled`). Raises `ValueError`
+    for more than one.
     """
     check_one("frequency", frequency, "Hz")
     check_one("frequency_ratio", frequency_ratio, "ratio")
@@ -271,8 +272,8 @@ def _task(system, drive, release, start, grid, stepping) -> Task:
         if isinstance(stepper, ExactContact):
             most = (stepper.max_attempts or ATTEMPTS) if gradient == "reverse" else None
             stepper = ExactContact(stepper.tolerance, stepper.steps_per_period, most)
-        parts, controller = math.ceil(stepper.steps(run) / sampled.per_period), diffrax.ConstantStepSize()
-        parts = parts_under_signal(run, sampled, parts)
+        parts = math.ceil(stepper.steps(run) / sampled.per_period)
+        parts, controller = parts_under_signal(run, sampled, parts), diffrax.ConstantStepSize()
     elif controller is None:
         drive = run.strength / run.clock**2  # quasi-static
         unit = jnp.max(jnp.abs(run.equations.input(jnp.zeros(run.equations.size))))

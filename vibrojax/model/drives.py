@@ -192,7 +192,8 @@ class BaseMotion(AbstractDrive):
 class PointForce(AbstractDrive):
     """A force amplitude sin(phase) at one place of the beam.
 
-    Under a `Sampled` waveform it is the force that was measured, and needs no amplitude. Raises `ValueError` for a negative amplitude or a position outside (0, 1].
+    Under a `Sampled` waveform it is the force that was measured, and needs no amplitude. Raises
+    `ValueError` for a negative amplitude or a position outside (0, 1].
     """
 
     amplitude: Number = number_field("N", default=0.0)

@@ -54,15 +54,14 @@ def signal_grid(
             return unequal_grid(time, start + interval * np.arange(count + 1))
     finer = math.ceil(interval / ratio.numerator * fastest / LONGEST)
     stride = ratio.numerator * max(1, min(finer, FINEST))
-    return SignalGrid(
-        start + interval / stride * jnp.arange(count * stride + 1), None, stride
-    )
+    return SignalGrid(start + interval / stride * jnp.arange(count * stride + 1), None, stride)
 
 
 def unequal_grid(time: np.ndarray, wanted: np.ndarray) -> SignalGrid:
     """Take the times of the record and those wanted together."""
     inside = time[(time > wanted[0]) & (time < wanted[-1])]
-    nearest = wanted[np.clip(np.searchsorted(wanted, inside), 1, wanted.size - 1) - np.array([[1], [0]])]
+    after = np.clip(np.searchsorted(wanted, inside), 1, wanted.size - 1)
+    nearest = wanted[after - np.array([[1], [0]])]
     alone = np.min(np.abs(nearest - inside), axis=0) > 1e-13 * np.max(np.abs(wanted))
     knots = np.union1d(inside[alone], wanted)
     return SignalGrid(jnp.asarray(knots), jnp.asarray(np.searchsorted(knots, wanted)), 1)

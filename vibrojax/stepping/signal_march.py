@@ -168,9 +168,7 @@ class Segment(eqx.Module):
     def _touching(self, phase: Int[Array, ""]) -> Bool[Array, " stops"]:
         return (phase >> np.arange(self.phases.num_stops)) & 1 == 1
 
-    def fine(
-        self, place: Place, values: Float[Array, " inputs"], step: Float[Array, ""]
-    ) -> Place:
+    def fine(self, place: Place, values: Float[Array, " inputs"], step: Float[Array, ""]) -> Place:
         """Go on by one step of a power series, to its end or to the first change of contact."""
         phases, m = self.phases, self.phases.carried
         start = values[place.sample]
@@ -186,9 +184,7 @@ class Segment(eqx.Module):
             rows = jnp.stack([phases.depth, phases.push])
             noise = 1e-15 * (jnp.abs(rows) @ jnp.abs(z))
             touching = self._touching(phase)
-            share, stop, by_depth = first_change(
-                *lax.stop_gradient((depth, push, noise)), touching
-            )
+            share, stop, by_depth = first_change(*lax.stop_gradient((depth, push, noise)), touching)
             found = stop >= 0
             # One step of Newton's method has the derivative of the time of the change.
             own = jnp.where(by_depth, depth[:, stop], push[:, stop])
