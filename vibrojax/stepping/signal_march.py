@@ -258,14 +258,17 @@ def march_unequal(
     segment = Segment(phases, None, 1, True, reverse)
     first = phases.first_phase(carried, values[0])
     steps = jnp.diff(time) * phases.unit
-    # Two knots at one time have no slope between them.
-    safe = jnp.where(steps > 0, steps, 1e-300)
+    # Between two knots at one time there is no way, and no slope.
+    apart = steps > 0
+    safe = jnp.where(apart, steps, 1.0)
 
     def one(begun: tuple, inputs: tuple) -> tuple:
-        begun, kept = segment(begun, inputs)
-        return begun, kept[0]
+        way, apart = inputs
+        ended, _ = segment(begun, way)
+        begun = jax.tree.map(lambda new, old: jnp.where(apart, new, old), ended, begun)
+        return begun, begun[0]
 
     one = jax.checkpoint(one) if reverse else one
-    windows = jnp.stack([values[:-1], jnp.where(steps > 0, values[1:], values[:-1])], axis=1)
-    _, found = lax.scan(one, (carried, first), (windows, safe))
+    windows = jnp.stack([values[:-1], values[1:]], axis=1)
+    _, found = lax.scan(one, (carried, first), ((windows, safe), apart))
     return jnp.concatenate([carried[None], found])
