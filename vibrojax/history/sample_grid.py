@@ -39,11 +39,11 @@ class SampleGrid(NamedTuple):
 
 def sample_grid(
     run: Motion,
-    periods: float | None,
+    periods: float | int | None,
     duration: Any,
     samples_per_period: int,
     samples: int | None,
-    sampling_rate: float | None,
+    sampling_rate: float | int | None,
 ) -> SampleGrid:
     """Read what `simulate` was asked for. Raises `ValueError` for what contradicts itself."""
     if sampling_rate is not None:
@@ -60,7 +60,8 @@ def sample_grid(
     period = 2 * jnp.pi / run.clock
     if periods is not None:
         check_positive("periods", periods, "(drive periods)")
-        length, count = periods * period, periods
+        length: Any = periods * period
+        count: Any = periods
     else:
         check_one_number("duration", duration, "s", "The motions of one call are equally long.")
         length, count = jnp.asarray(duration, float), concrete(duration / period)
@@ -74,8 +75,8 @@ def sample_grid(
         )
     if samples is None:
         # A duration is covered to its end; a number of periods has its samples exactly.
-        samples = count * samples_per_period
-        samples = math.ceil(samples) if periods is None else max(1, round(samples))
+        wanted = float(count) * samples_per_period
+        samples = math.ceil(wanted) if periods is None else max(1, round(wanted))
     _check_most(samples, "duration" if periods is None else "periods")
     times = length * jnp.linspace(0.0, 1.0, samples + 1)
     return SampleGrid(times, samples / float(count), None, None, None)
@@ -97,7 +98,7 @@ def _of_signal(run, periods, duration, samples_per_period, samples, sampling_rat
             f"periods: a {kind} has no period, got {periods!r}. Give duration (s)"
             f"{' in its place.' if isinstance(signal, Tones) else ', or leave both out.'}"
         )
-    start, spacing = 0.0, None
+    start, spacing = 0.0, 1.0
     if isinstance(signal, Sampled):
         time = times_of_record(signal)
         start, spacing = float(time[0]), float(time[-1] - time[0]) / (time.size - 1)
@@ -113,11 +114,11 @@ def _of_signal(run, periods, duration, samples_per_period, samples, sampling_rat
         fastest = concrete(jnp.max(signal.frequencies))
         if fastest is None and samples is None and sampling_rate is None:
             raise ValueError("Give samples: JAX is tracing the frequencies of the Tones.")
-        spacing = 1.0 if fastest is None else 1 / (float(fastest) * samples_per_period)
+        if fastest is not None:
+            spacing = 1 / (float(fastest) * samples_per_period)
     if sampling_rate is not None:
         samples = max(1, round(length * sampling_rate))
     elif samples is None:
-        assert spacing is not None  # of records and of tones
         samples = max(1, math.ceil(length / spacing - 1e-6))
         length = samples * spacing  # covered to its end, at the samples of the record
     _check_most(samples, "duration")

@@ -71,7 +71,7 @@ def shock_response_spectrum(
     record: Sampled | History,
     frequencies: ArrayLike | Sequence[float],
     *,
-    damping_ratio: float = 0.05,
+    damping_ratio: float | int = 0.05,
     position: ArrayLike | None = None,
 ) -> ShockSpectrum:
     """Return the shock response spectrum of an acceleration, maximax and both signs.
@@ -135,13 +135,14 @@ def _extremes(
     step = length / count
     after = int(np.ceil(1 / frequency / step)) + 1
     dense = np.interp(time[0] + step * np.arange(count + 1), time, values)
-    # One sample of rest before it: a value that is there from the start is a sudden one.
     rate = 2 * np.pi * frequency
     decay, angle = np.exp(-damping_ratio * rate * step), rate * step * np.sqrt(1 - damping_ratio**2)
     cosine, sine = decay * np.cos(angle), decay * np.sin(angle) / angle
     ahead = [1 - sine, 2 * (sine - cosine), decay**2 - sine]
     back = [1.0, -2 * cosine, decay**2]
-    moved = lfilter(ahead, back, np.concatenate([[0.0], dense, np.zeros(after)]))
+    # At rest before: a value that is there from the start comes within an interval.
+    filtered = lfilter(ahead, back, np.concatenate([[0.0], dense, np.zeros(after)]))
+    moved = np.asarray(filtered)
     return _highest(moved), _highest(-moved)
 
 

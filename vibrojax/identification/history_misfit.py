@@ -174,6 +174,7 @@ class HistoryMisfit:
         self.frequency = np.array([1.0 if f is None else f for f in given])
         self.release = np.array([h.release or 0.0 for h in repetitions])
         self.record = _records(repetitions)
+        self.plan = self.plan._replace(together=all(map(_on_samples, parts)))
         self.shifts = np.zeros(0)
         """Shifts of the lanes last computed (model time less measured time), s."""
 
@@ -327,6 +328,17 @@ def _records(repetitions: Sequence[MeasuredHistory]) -> Float[np.ndarray, "repet
     return np.stack([np.pad(r, ((0, 0), (0, longest - r.shape[1])), mode="edge") for r in found])
 
 
+def _on_samples(history: MeasuredHistory) -> bool:
+    """Whether a history has its samples together with those of its drive, equally spaced."""
+    waveform = history.waveform
+    if waveform is None or not waveform.equally_spaced:
+        return False
+    time = np.asarray(waveform.time)
+    place = (history.time - time[0]) / (time[-1] - time[0]) * (time.size - 1)
+    known = place < time.size - 0.5
+    return bool(known.all() and np.max(np.abs(place - np.round(place))) < 1e-3)
+
+
 def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractSystem) -> Plan:
     """Decide what is computed. Raises `ValueError` for a history the system cannot have."""
     kind = type(system).__name__
@@ -350,7 +362,12 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
     measured = history.waveform is not None
     driven = measured or history.frequency is not None or history.frequency_ratio is not None
     unknown = [name for name in channels if name in ("displacement", "velocity")]
-    if measured and history.frame == "absolute" and unknown and isinstance(system.drive, BaseMotion):
+    if (
+        measured
+        and history.frame == "absolute"
+        and unknown
+        and isinstance(system.drive, BaseMotion)
+    ):
         raise ValueError(
             f"The absolute {unknown[0]} needs that of the base, and its waveform is measured as an "
             "acceleration. Give the acceleration, or channels relative to the base."

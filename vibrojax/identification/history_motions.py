@@ -22,7 +22,7 @@ from vibrojax.steady.starting import stepper
 from vibrojax.stepping import splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 from vibrojax.stepping.input_phases import input_phases
-from vibrojax.stepping.signal_march import march_unequal
+from vibrojax.stepping.signal_march import march_equal, march_unequal
 from vibrojax.stepping.stepper import ExponentialSplitting
 
 lax = jax.lax
@@ -49,6 +49,8 @@ class Plan(NamedTuple):
     driven: bool
     aligned: bool
     exact: bool
+    together: bool = False
+    """Whether all samples are some of an equally spaced drive as measured."""
 
 
 class Rig(eqx.Module):
@@ -132,9 +134,25 @@ def _advance(motion: Motion, exact: bool, start, duration, state):
     return lax.fori_loop(0, steps, one, state)
 
 
-def _driven_states(rig: Rig, exact: bool, times: Float[Array, " samples"]):
+def _driven_states(rig: Rig, plan: Plan, times: Float[Array, " samples"]):
     """States (samples, states) at times (s) under a drive as measured, from rest."""
     motion, begun = _motion(rig), jnp.zeros_like(rig.weight)
+    exact = plan.exact
+    if exact and plan.together:
+        moments, values = rig.record
+        step = (moments[-1] - moments[0]) / (moments.shape[0] - 1)
+        phases = input_phases(rig.equations, rig.drive, motion.waveform)
+        found = march_equal(
+            phases,
+            phases.begin(begun, moments[0]),
+            rig.drive.signal_factor * values,
+            step,
+            stride=1,
+            count=moments.shape[0] - 1,
+            reverse=False,
+        )
+        place = jnp.round((times - moments[0]) / step).astype(int)
+        return found[place, : phases.states] * phases.scale
     knots = jnp.sort(jnp.concatenate([rig.record[0], times]))
     if not exact:
         states = _states(rig, exact, begun, knots, knots[0])
@@ -255,7 +273,7 @@ def pass_through(rigs: Rig, slopes: Rig, plan: Plan, time, state, shift, period)
 
         def model(rig, shift, state):
             if plan.begins == "signal":
-                states = _driven_states(rig, plan.exact, time)
+                states = _driven_states(rig, plan, time)
                 return _signals(rig, plan, time, states).reshape(-1), states[-1]
             at = time + shift
             length = period * 2 * jnp.pi / rig.angular_frequency

@@ -13,14 +13,14 @@ DROP = 1e-9
 """Time in which a sawtooth falls, over its duration."""
 
 
-def _check(amplitude: float, duration: float, samples: int) -> None:
+def _check(amplitude: float | int, duration: float | int, samples: int) -> None:
     check_range("amplitude", amplitude, allowed="a finite number (m/s2 or N)")
     check_positive("duration", duration, "s")
     check_count("samples", samples, least=4)
 
 
 @validated
-def half_sine(amplitude: float, duration: float, *, samples: int = 1000) -> Sampled:
+def half_sine(amplitude: float | int, duration: float | int, *, samples: int = 1000) -> Sampled:
     """Return the pulse amplitude sin(pi t / duration), 0 afterwards.
 
         simulate(rig, waveform=vj.model.half_sine(150.0, 11e-3), duration=0.5)
@@ -42,7 +42,7 @@ def half_sine(amplitude: float, duration: float, *, samples: int = 1000) -> Samp
 
 
 @validated
-def sawtooth(amplitude: float, duration: float, *, samples: int = 200) -> Sampled:
+def sawtooth(amplitude: float | int, duration: float | int, *, samples: int = 200) -> Sampled:
     """Return the terminal-peak sawtooth: it rises straight to the amplitude and drops to 0.
 
     The drop takes 1e-9 of the duration.
@@ -62,7 +62,12 @@ def sawtooth(amplitude: float, duration: float, *, samples: int = 200) -> Sample
 
 @validated
 def trapezoid(
-    amplitude: float, duration: float, rise: float, fall: float, *, samples: int = 200
+    amplitude: float | int,
+    duration: float | int,
+    rise: float | int,
+    fall: float | int,
+    *,
+    samples: int = 200,
 ) -> Sampled:
     """Return the trapezoidal pulse: a straight rise, the amplitude held, a straight fall to 0.
 

@@ -23,11 +23,11 @@ PER_PERIOD = 20.0
 def random_signal(
     frequencies: ArrayLike | Sequence[float],
     density: ArrayLike | Sequence[float],
-    duration: float,
+    duration: float | int,
     *,
     seed: int,
     sides: int = 1,
-    sampling_rate: float | None = None,
+    sampling_rate: float | int | None = None,
 ) -> Sampled:
     """Return Gaussian noise of a power spectral density, as a `Sampled`.
 

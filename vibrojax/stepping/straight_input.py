@@ -18,7 +18,7 @@ def straight_states(
 
     Of a signal that is linear over the step this is exact; else it is the chord.
     """
-    ends = start + jnp.array([0.0, 1.0]) * duration
+    ends = jnp.asarray(start) + jnp.array([0.0, 1.0]) * duration
     first, last = motion.drive.input(motion.waveform, ends)
     slope = (last - first) / duration
     w = equations.angular_frequency
