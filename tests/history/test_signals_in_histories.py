@@ -44,6 +44,7 @@ def test_other_samples_of_the_same_motion(rig, history):
     assert np.max(np.abs(place.coordinates - history.coordinates[::3]) / size) < 1e-10
 
 
+@pytest.mark.slow
 def test_energy_is_accounted_for(history):
     energy = history.energy()
     assert np.max(np.abs(energy.balance)) < 1e-8

@@ -10,7 +10,7 @@ SIGNAL = np.array([0.0, 1.0, -2.0, 0.5, 0.25])
 
 
 def written(path, header, *columns, rows=""):
-    np.savetxt(path, np.c_[columns].T, delimiter=",", header=header, comments="")
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="")
     path.write_text(path.read_text() + rows)
     return path
 

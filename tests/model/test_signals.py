@@ -28,7 +28,7 @@ def test_equal_spacing_is_seen_and_read_alike():
     at = jnp.linspace(2.9, 4.1, 50)
     assert signal.equally_spaced
     np.testing.assert_allclose(signal.at(at), np.interp(at, time, values), atol=1e-12)
-    slope = jax.jit(jax.grad(lambda x: vj.Sampled(time, x * values).at(3.33)))(1.0)
+    slope = jax.jit(jax.grad(lambda x: vj.Sampled(time, x * values).at(jnp.asarray(3.33))))(1.0)
     assert slope == pytest.approx(np.interp(3.33, time, values))
 
 
