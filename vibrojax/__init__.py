@@ -58,6 +58,8 @@ from vibrojax.model.linearised_pendulum import LinearisedPendulum as LinearisedP
 from vibrojax.model.matrix_system import MatrixSystem as MatrixSystem
 from vibrojax.model.modes import modes as modes
 from vibrojax.model.relaxing_laws import StandardLinearSolid as StandardLinearSolid
+from vibrojax.model.signals import Sampled as Sampled
+from vibrojax.model.signals import Tones as Tones
 from vibrojax.model.state_space import StateSpace as StateSpace
 from vibrojax.model.stops import Stop as Stop
 from vibrojax.plot.maps import plot_map as plot_map

@@ -235,3 +235,31 @@ def test_repetitions_have_the_same_samples():
     part = MeasuredHistory(time=TIME, frequency=10.0, window=(0.0, 0.05), **SIGNALS)
     with pytest.raises(ValueError, match="as many samples"):
         HistoryMisfit(Maker(vj.default_rig, NAMES, FIXED, {}), [whole, part])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("between", [False, True])
+def test_a_measured_drive(between):
+    count, step = 300, 1e-3
+    noise = np.random.default_rng(3).standard_normal(count + 1)
+    drive = vj.Sampled(step * np.arange(count + 1), 2 * np.cumsum(noise))
+    grid = {"samples": 2 * count if between else count, "gradient": "forward"}
+    history = vj.simulate(vj.default_rig(), waveform=drive, **grid)
+    assert np.max(history.contact_force) > 0
+    time, signals = sampled(history, ("displacement", "contact_force"), slice(1, None, 6))
+    target = misfit(time, signals, waveform=drive)
+    assert target.plan.together != between
+    residual, _ = at(TRUE, target)
+    assert np.abs(residual).max() < 1e-5
+    check_derivative(target)
+
+
+def test_what_a_measured_drive_goes_with():
+    drive = vj.Sampled([0.0, 1.0, 2.0], [0.0, 1.0, 0.0])
+    signals = {"displacement": np.zeros(2)}
+    with pytest.raises(ValueError, match="Give waveform or frequency, not both"):
+        MeasuredHistory(time=np.array([0.0, 1.0]), waveform=drive, frequency=3.0, **signals)
+    with pytest.raises(ValueError, match="time must begin with the waveform, at 0 s"):
+        MeasuredHistory(time=np.array([-1.0, 1.0]), waveform=drive, **signals)
+    with pytest.raises(ValueError, match="The absolute displacement needs that of the base"):
+        misfit(np.array([0.0, 1.0]), signals, waveform=drive, frame="absolute")

@@ -415,3 +415,23 @@ def test_uncertainty_of_a_straight_line():
     again = np.linalg.lstsq(jacobian[left, :2], -residual[left], rcond=None)[0]
     deviation = np.sqrt([1 / 40, 1 / np.sum(x**2)])
     np.testing.assert_allclose(np.abs(moved[7]), np.abs(again) / deviation, rtol=1e-6)
+
+
+@pytest.mark.long
+def test_a_history_under_a_measured_drive():
+    noise = np.random.default_rng(3)
+    drive = vj.Sampled(1e-3 * np.arange(601), 0.5 * np.cumsum(noise.standard_normal(601)))
+    history = vj.simulate(vj.default_rig(), waveform=drive, gradient="forward")
+    tip = np.asarray(history.displacement())[1:] + 2e-5 * noise.standard_normal(600)
+    measured = vj.io.MeasuredHistory(
+        time=np.asarray(drive.time)[1:],
+        displacement=tip,
+        deviation={"displacement": 2e-5},
+        waveform=drive,
+    )
+    found = vj.identify(vj.default_rig, measured, {"stiffness": 4500.0, "gap": 4.5e-4})
+    for name, true in (("stiffness", 5500.0), ("gap", 4e-4)):
+        low, high = found.intervals[name]
+        assert low < true < high
+        assert high - low < 0.1 * true
+    assert found.chi_square / (600 - 2) == pytest.approx(1.0, abs=0.2)

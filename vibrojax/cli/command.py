@@ -1,11 +1,11 @@
-"""The command `vibrojax`: sweeps, maps, modes and fits of a rig, from a terminal."""
+"""The command `vibrojax`: sweeps, motions, maps, modes and fits of a rig, from a terminal."""
 
 import atexit
 import gc
 import sys
 from collections.abc import Sequence
 
-from vibrojax.cli.options import Cache, Fit, Map, Modes, Sweep, parsed
+from vibrojax.cli.options import Cache, Fit, Map, Modes, Simulate, Sweep, parsed
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,12 +43,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _run(options: Sweep | Map | Modes | Fit | Cache) -> int:
+def _run(options: Sweep | Simulate | Map | Modes | Fit | Cache) -> int:
     """Do what was asked; only what it needs is imported."""
     if isinstance(options, Sweep):
         from vibrojax.cli.sweep import run_sweep
 
         return run_sweep(options)
+    if isinstance(options, Simulate):
+        from vibrojax.cli.simulate import run_simulate
+
+        return run_simulate(options)
     if isinstance(options, Map):
         from vibrojax.cli.map import run_map
 

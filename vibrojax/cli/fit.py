@@ -191,23 +191,29 @@ def number(label: str, text: str) -> float:
         raise ValueError(f"{label} must be a number, got {text!r}.") from None
 
 
+def columns_of(texts: Sequence[str], example: str) -> dict[str, str | int | None]:
+    """Return columns of a file by key, by name or position. Raises `ValueError` as `pairs`."""
+    columns: dict[str, str | int | None] = {}
+    for key, value in pairs("--columns", texts, example).items():
+        columns[key] = int(value) if value.isdecimal() else None if value == "none" else value
+    return columns
+
+
 def read_curve(options: Fit) -> MeasuredCurve:
     """Read the curve to fit. Raises `ValueError` as `read_measured_curve` does."""
-    columns: dict[str, str | int | None] = {}
-    for key, value in pairs("--columns", options.columns, "frequency=f_Hz").items():
-        columns[key] = int(value) if value.isdecimal() else None if value == "none" else value
+    columns = columns_of(options.columns, "frequency=f_Hz")
     how = {name: getattr(options, name) for name in ("quantity", "frame", "decimal")}
     units = pairs("--units", options.units, "amplitude=mm")
     try:
         found = read_measured_curve(options.curve, columns=columns, units=units, **how)
     except ValueError as error:
-        raise ValueError(_as_options(str(error))) from None
+        raise ValueError(as_options(str(error))) from None
     if not isinstance(found, MeasuredCurve):
         raise ValueError(f"{str(options.curve)!r} holds {len(found)} curves: give a file of one.")
     return found
 
 
-def _as_options(advice: str) -> str:
+def as_options(advice: str) -> str:
     """Return advice to a caller as that to a user of the command: options for keywords."""
     advice = re.sub(
         r"(columns|units)=dict\((\w+)=('[^']*'|\w+)\)",

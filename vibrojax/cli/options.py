@@ -17,6 +17,7 @@ Frequency responses of vibrating beams that hit stops.
 Try:
 $ vibrojax sweep             the default rig: a table, sweep.nc and sweep.png
 $ vibrojax sweep rig.toml    your rig (its file explained: examples/uniform_beam.toml)
+$ vibrojax simulate --drive record.csv   the motion under a measured base acceleration
 $ vibrojax map map.toml      sweeps over any numbers of the rig (examples/map.toml)
 $ vibrojax modes rig.toml    its natural frequencies
 $ vibrojax fit curve.csv     contact stiffness and damping from a measured curve
@@ -74,6 +75,57 @@ class Sweep:
     # picture of the response (.png, .svg, .pdf), or none
     picture: Annotated[Path, _said("FILE", "sweep.png")] = Path("sweep.png")
     # print neither the table nor progress
+    quiet: _Flag = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulate:
+    """Simulate one motion from rest; print what happened, write data and a picture.
+
+    The drive is a measured record (acceleration of the base, or force, as the rig's [drive] says)
+    or harmonic.
+
+    Try:
+    $ vibrojax simulate rig.toml --drive record.csv
+    $ vibrojax simulate rig.toml --drive record.csv --units acceleration=g --quantity acceleration
+    $ vibrojax simulate --frequency-ratio 1.1 --periods 40
+    """
+
+    rig: _Rig = None
+    # measured drive: text with a header (.csv, .txt) or NetCDF, columns like time [s],
+    # acceleration [m/s2], or force [N] where a force drives the rig; straight between samples
+    drive: Annotated[Path | None, _said("RECORD.csv", "none")] = None
+    # frequency of a harmonic drive instead, Hz
+    frequency: Annotated[float | None, _said("HERTZ", "none")] = None
+    # the same over the first natural frequency
+    frequency_ratio: Annotated[float | None, _said("RATIO", "none")] = None
+    # tip displacement from which the beam is let go, m
+    release: Annotated[float | None, _said("METRES", "from rest")] = None
+    # how long, s
+    duration: Annotated[float | None, _said("SECONDS", "the record, or 100 periods")] = None
+    # how long, in drive periods
+    periods: Annotated[float | None, _said("COUNT", "100 without a record")] = None
+    # intervals over the whole time
+    samples: Annotated[int | None, _said("COUNT", "those of the record, or 128 a period")] = None
+    # samples per second instead
+    sampling_rate: Annotated[float | None, _said("HERTZ", "not used")] = None
+    # what the picture shows above the contact force: displacement, velocity, acceleration, ...
+    quantity: Annotated[str, _said("NAME", "displacement")] = "displacement"
+    # place x/L at which it is shown
+    position: Annotated[float | None, _said("X/L", "the tip")] = None
+    # columns of the record, by name or position from 0, as time=0 acceleration=2
+    columns: Annotated[_Texts, _said("NAME=COLUMN ...", "recognised by their names")] = ()
+    # units where its header has none, as time=ms acceleration=g
+    units: Annotated[_Texts, _said("NAME=UNIT ...", "those of the header")] = ()
+    # decimal sign of the record
+    decimal: Annotated[
+        Literal[".", ","] | None, _said("{.,,}", "read off its numbers, if they can")
+    ] = None
+    # NetCDF file (.nc) for the motion, or none
+    output: Annotated[Path, _said("FILE", "simulate.nc")] = Path("simulate.nc")
+    # picture of it (.png, .svg, .pdf), or none
+    picture: Annotated[Path, _said("FILE", "simulate.png")] = Path("simulate.png")
+    # print nothing
     quiet: _Flag = False
 
 
@@ -232,10 +284,17 @@ class Cache:
     clear: _Flag = False
 
 
-COMMANDS = {"sweep": Sweep, "map": Map, "modes": Modes, "fit": Fit, "cache": Cache}
+COMMANDS = {
+    "sweep": Sweep,
+    "simulate": Simulate,
+    "map": Map,
+    "modes": Modes,
+    "fit": Fit,
+    "cache": Cache,
+}
 
 
-def parsed(arguments: Sequence[str]) -> Sweep | Map | Modes | Fit | Cache:
+def parsed(arguments: Sequence[str]) -> Sweep | Simulate | Map | Modes | Fit | Cache:
     """Return the options of a command. Wrong ones, and `--help`, leave by `SystemExit`."""
     arguments = list(arguments) or ["--help"]
     return tyro.extras.subcommand_cli_from_dict(

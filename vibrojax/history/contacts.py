@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike, Float, Int
 from vibrojax._tools.checks import check_range, nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.history.between_samples import engine_of
+from vibrojax.history.corners import cut_at_corners
 from vibrojax.history.finer_steps import OF_STOPS, Cells
 from vibrojax.history.quantities import table
 from vibrojax.history.samples import SampledMotion, times_of
@@ -119,7 +120,7 @@ class Contacts:
 
 def contacts_of(history: SampledMotion) -> Contacts:
     """Tabulate the contacts of a history; see `History.contacts`."""
-    time, states = times_of(history, "contacts"), np.asarray(history.states)
+    time, states = cut_at_corners(history.motion, times_of(history, "contacts"), history.states)
     touched, total = [], 0
     for cells in engine_of(history.motion).cells(history.motion, time, states):
         total = max(total, int(cells.number[-1]) + 1)
@@ -183,7 +184,7 @@ def peak_of(
     start: float | int,
 ) -> Peak:
     """Return the largest value of a quantity; see `History.peak`."""
-    time, states = times_of(history, "peaks"), np.asarray(history.states)
+    time, states = cut_at_corners(history.motion, times_of(history, "peaks"), history.states)
     allowed = f"at most {time[-1]:.6g} s, the end of the history"
     check_range("start", start, -np.inf, time[-1], allowed=allowed)
     if quantity == "contact_force":

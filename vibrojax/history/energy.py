@@ -9,6 +9,7 @@ from jaxtyping import Float
 from vibrojax._tools.checks import check_choice
 from vibrojax._tools.signatures import validated
 from vibrojax.history.between_samples import engine_of
+from vibrojax.history.corners import cut_at_corners, own_interval
 from vibrojax.history.quantities import dataset, numbered
 from vibrojax.history.samples import SampledMotion, times_of
 
@@ -134,12 +135,15 @@ def energy_of(history: SampledMotion) -> EnergyFlow:
     n, stops, count = mass.size, history.contact_force.shape[1], time.size
     beam_loss, input_work = np.zeros((count, n)), np.zeros(count)
     taken, stored = np.zeros((count, stops)), np.zeros((count, stops))
-    for cells in engine.cells(history.motion, time, states):
-        np.add.at(beam_loss, cells.interval + 1, cells.beam_loss.T)
-        np.add.at(input_work, cells.interval + 1, cells.input_work)
+    cut, cut_states = cut_at_corners(history.motion, time, states)
+    own = own_interval(cut, time)
+    for cells in engine.cells(history.motion, cut, cut_states):
+        interval = own[cells.interval]
+        np.add.at(beam_loss, interval + 1, cells.beam_loss.T)
+        np.add.at(input_work, interval + 1, cells.input_work)
         work = cells.loss + cells.stored_end - cells.stored_start
-        np.add.at(taken, cells.interval + 1, work.T)
-        intervals, first = np.unique(cells.interval, return_index=True)
+        np.add.at(taken, interval + 1, work.T)
+        intervals, first = np.unique(interval, return_index=True)
         stored[intervals] = cells.stored_start.T[first]
         stored[-1] = cells.stored_end[:, -1]
     return EnergyFlow(

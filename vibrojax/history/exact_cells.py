@@ -79,15 +79,16 @@ def _measure_batch(
     if equations.internal is not None:  # what they take counts as lost
         pull = jnp.tensordot(equations.internal.acceleration, memory[: equations.internal_size], 1)
         deceleration = deceleration - pull
-    _, _, rate, amplitude = lanes
+    _, _, rate, amplitude, level, slope = lanes
     angle = motion.angle[:, None] + rate[:, None] * time
     drive = amplitude.real[:, None] * jnp.sin(angle) + amplitude.imag[:, None] * jnp.cos(angle)
+    drive = drive + level[:, None] + slope[:, None] * time
     power = drive * jnp.tensordot(equations.modal_mass * equations.input_map, v, axes=1)
 
     depth, depth_rate, acceleration = read_stops(phases, phase, blocks)
     held = touching_bits(phases, phase)[:, None, None]
     k, c = held * phases.stiffness[:, None, None], held * phases.damping[:, None, None]
-    force, slope = k * depth + c * depth_rate, k * depth_rate + c * acceleration
+    force, change = k * depth + c * depth_rate, k * depth_rate + c * acceleration
     stored, loss = k * depth**2 / 2, integral(c * depth_rate**2)
     kept = memory_by_stop(equations.stops, equations.memory_of_stops(memory))
     for s, (stop, own) in enumerate(zip(equations.stops, kept, strict=True)):
@@ -111,8 +112,8 @@ def _measure_batch(
         "input_work": integral(power),
         "loss": loss,
         "impulse": integral(force),
-        "highest": top(force, slope),
-        "lowest": -top(-force, -slope),
+        "highest": top(force, change),
+        "lowest": -top(-force, -change),
         "deepest": top(depth, depth_rate),
         "stored_start": stored[..., 0],
         "stored_end": stored[..., -1],

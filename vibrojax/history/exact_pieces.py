@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int, Shaped
 
 from vibrojax._tools.compiled import compiled
+from vibrojax.model.drives import AbstractSignal
 from vibrojax.model.first_order import first_order
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_phases import ContactPhases
@@ -57,6 +58,10 @@ class Pieces(NamedTuple):
     rate: Float[np.ndarray, " pieces"]
     """Of the drive phase, rad/s: of a chirp in the middle of the interval, as the amplitude."""
     amplitude: Complex[np.ndarray, " pieces"]
+    level: Float[np.ndarray, " pieces"]
+    """Input of a signal there, m/s2 or N, 0 of a drive with a phase."""
+    slope: Float[np.ndarray, " pieces"]
+    """Its rate, per s."""
 
     def at(self, index: Any) -> "Pieces":
         """Return some of them."""
@@ -84,20 +89,22 @@ def _begun(
     value, _ = indicator(rate, jnp.zeros_like(depth))
     force = form.stiffness[:, None] * depth + form.damping[:, None] * rate
     change = form.flow @ states - form.push @ jnp.where(value > 0, force, 0.0)
-    change = (
-        change
-        + form.load[:, None]
-        + form.input[:, None] * motion.drive.input(motion.waveform, time)
-    )
+    drive_input = motion.drive.input(motion.waveform, time)
+    change = change + form.load[:, None] + form.input[:, None] * drive_input
     rate = jnp.where(np.reshape(lags, (-1, 1)), form.depth @ change, rate)
     value, slope = indicator(rate, form.rate @ change)
     touching = jnp.where(jnp.abs(value) <= near, slope > 0, value > 0)
     bits = (1 << np.arange(phases.num_stops))[:, None]
+    phase, still = jnp.sum(jnp.where(touching, bits, 0), axis=0), jnp.zeros_like(time)
+    if isinstance(motion.waveform, AbstractSignal):
+        change = motion.drive.input(motion.waveform, time + duration) - drive_input
+        turn = jnp.full_like(time, equations.angular_frequency[0])
+        return phase, states, still, turn, still + 0j, drive_input, change / duration
     angle, _, _ = motion.waveform.phase(time)
     _, turn, second = motion.waveform.phase(time + duration / 2)
     angle = angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
-    phase = jnp.sum(jnp.where(touching, bits, 0), axis=0)
-    return phase, states, angle, turn, motion.drive.complex_amplitude(turn, second)
+    amplitude = motion.drive.complex_amplitude(turn, second)
+    return phase, states, angle, turn, amplitude, still, still
 
 
 @compiled
@@ -252,6 +259,7 @@ def exact_pieces(
             phase=kept.phase ^ np.where(last >= 0, 1 << np.maximum(last, 0), 0),
             state=state[:, on],
             angle=kept.angle + kept.rate * end,
+            level=kept.level + kept.slope * end,
         )
     else:
         raise ValueError(

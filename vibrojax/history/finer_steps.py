@@ -17,10 +17,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
+from vibrojax.model.drives import AbstractSignal
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.stop_forces import memory_by_stop, stop_forces
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.cubic import cubic_between
-from vibrojax.stepping.splitting import contact_of, driven_flow, kick, steady, steps_of
+from vibrojax.stepping.splitting import contact_of, drift, driven_flow, kick, steady, steps_of
+from vibrojax.stepping.straight_input import straight_states
 
 TOLERANCE = 1e-6
 FINEST = 0.1
@@ -82,7 +85,7 @@ def substeps(motion: Motion, interval: float) -> int:
     """How many steps to take in an interval (s)."""
     equations = motion.equations.linear_between_contacts
     assert equations is not None  # checked before
-    _, rate, _ = motion.waveform.phase(jnp.zeros(()))
+    rate = motion.clock
     steps = int(steps_of(equations, rate, jnp.asarray(TOLERANCE)))
     share = interval * float(rate) / (2 * np.pi)
     highest = float(jnp.max(equations.angular_frequency))
@@ -117,35 +120,27 @@ def _step(motion: Motion, state, start, h):
     """Take one step of one lane; returns the state and what it lost, worked and received."""
     equations = motion.equations.linear_between_contacts
     assert equations is not None  # checked before
-    phase, _, _ = motion.waveform.phase(start)
-    phase_end, _, _ = motion.waveform.phase(start + h)
-    middle, rate, second = motion.waveform.phase(start + h / 2)
-    amplitude, omega = motion.drive.complex_amplitude(rate, second), (phase_end - phase) / h
-    forced, driven = steady(equations, amplitude, omega)
     w, zeta, n = equations.angular_frequency, equations.damping_ratio, equations.size
-    half, *early = (driven_flow(equations, driven, omega, x * h / 2) for x in (1.0, *PLACES))
     received = equations.modal_mass * equations.input_map
+    at, drive_at, flow = _driven_step(motion, equations, start, h)
+    half, *early = (flow(x / 2) for x in (1.0, *PLACES))
 
-    def at(angle):
-        return forced.real * jnp.sin(angle) + forced.imag * jnp.cos(angle)
-
-    def lost(q, v, angle):
+    def lost(q, v, share):
         """Losses of the modes and work of the input over half a step from (q, v)."""
         loss, work = jnp.zeros(n), jnp.zeros(())
         for place, x in zip(early, PLACES, strict=True):
-            there = angle + x * omega * h / 2
-            _, speed = place(q, v, angle)
+            there = share + x / 2
+            _, speed = place(q, v, share)
             speed = speed + at(there)[n : 2 * n]
-            drive = amplitude.real * jnp.sin(there) + amplitude.imag * jnp.cos(there)
             loss = loss + h / 4 * 2 * zeta * w * equations.modal_mass * speed**2
-            work = work + h / 4 * drive * (received @ speed)
+            work = work + h / 4 * drive_at(there) * (received @ speed)
         return loss, work
 
-    q, v, memory = equations.split(state - at(phase))
-    loss, work = lost(q, v, phase)
-    q, v = half(q, v, phase)
+    q, v, memory = equations.split(state - at(0.0))
+    loss, work = lost(q, v, 0.0)
+    q, v = half(q, v, 0.0)
     contact = contact_of(equations, 0)
-    forced_q, forced_v, _ = equations.split(at(middle))
+    forced_q, forced_v, _ = equations.split(at(0.5))
     rate = contact.towards @ (v + forced_v)
     impulse = jnp.zeros_like(rate)
     if equations.stops:
@@ -153,9 +148,52 @@ def _step(motion: Motion, state, start, h):
         impulse, memory = kick(contact, depth, rate, memory, h)
         v = v - contact.push @ impulse
     taken = impulse * (rate + contact.towards @ (v + forced_v)) / 2
-    later, more = lost(q, v, middle)
-    state = jnp.concatenate([*half(q, v, middle), memory]) + at(phase_end)
+    later, more = lost(q, v, 0.5)
+    state = jnp.concatenate([*half(q, v, 0.5), memory]) + at(1.0)
     return state, (loss + later, work + more, impulse, taken)
+
+
+def _driven_step(motion: Motion, equations: LinearEquations, start, h):
+    """What the drive does in a step, by the share of it.
+
+    Returns the states that modes are driven along, the input, and the flows of (q, q') about them
+    over a share of the step, from another share on.
+    """
+    if isinstance(motion.waveform, AbstractSignal):
+        w, zeta = equations.angular_frequency, equations.damping_ratio
+
+        def free(share):
+            moved = drift(w, zeta, share * h)
+            return lambda q, v, _: moved(q, v)
+
+        return (
+            lambda share: straight_states(equations, motion, start, h, (share,))[0],
+            lambda share: motion.drive.input(motion.waveform, start + share * h),
+            free,
+        )
+    phase, _, _ = motion.waveform.phase(start)
+    phase_end, _, _ = motion.waveform.phase(start + h)
+    middle, rate, second = motion.waveform.phase(start + h / 2)
+    amplitude, omega = motion.drive.complex_amplitude(rate, second), (phase_end - phase) / h
+    forced, driven = steady(equations, amplitude, omega)
+
+    def angle(share):
+        known = {0.0: phase, 0.5: middle, 1.0: phase_end}
+        if share in known:
+            return known[share]
+        begun = phase if share < 0.5 else middle
+        return begun + (share - (0.0 if share < 0.5 else 0.5)) * omega * h
+
+    def wave(amplitude):
+        return lambda share: (
+            amplitude.real * jnp.sin(angle(share)) + amplitude.imag * jnp.cos(angle(share))
+        )
+
+    def about(share):
+        moved = driven_flow(equations, driven, omega, share * h)
+        return lambda q, v, begun: moved(q, v, angle(begun))
+
+    return wave(forced), wave(amplitude), about
 
 
 @compiled

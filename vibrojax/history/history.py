@@ -28,8 +28,9 @@ from vibrojax.history.quantities import (
     unit_and_label,
 )
 from vibrojax.history.samples import SampledMotion
-from vibrojax.history.signals import chirp_signals, signals_of
+from vibrojax.history.signals import chirp_signals, input_of, signals_of
 from vibrojax.history.spectrum import Spectrum
+from vibrojax.model.drives import AbstractSignal
 from vibrojax.model.systems import AbstractSystem, Motion
 from vibrojax.results.status import Status
 
@@ -246,6 +247,14 @@ class History(SampledMotion):
         for name, values in zip(MOVING, displacement_of(self), strict=True):
             units, label = QUANTITIES[name]
             data[prefix + name] = ("time", values, units, label + place)
+        if isinstance(self.motion.waveform, AbstractSignal):
+            values, units, label = input_of(self)
+            data["drive_force" if units == "N" else "base_acceleration"] = (
+                "time",
+                values,
+                units,
+                label,
+            )
         for name in (*observables_of(equations), STRAIN_POWER):
             data[name] = ("time", self.quantity(name), *unit_and_label(name))
         counted = numbered(along, self.coordinates.shape[1])
@@ -281,7 +290,8 @@ class History(SampledMotion):
         head = f"History({samples} samples, {coordinates} coordinates"
         if is_traced(self.time) or lanes:
             return head + ")"
-        return f"{head}, 0 to {float(self.time[-1]):.6g} s, {Status(int(self.status)).name})"
+        span = f"{float(self.time[0]):.6g} to {float(self.time[-1]):.6g} s"
+        return f"{head}, {span}, {Status(int(self.status)).name})"
 
 
 def history_of(

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
@@ -44,9 +43,8 @@ def spectrum_of_history(
         position = None
     values = np.asarray(quantity_of(history, quantity, position)[0])[inside]
     motion = history.motion
-    equations, waveform, drive = motion.equations, motion.waveform, motion.drive
-    _, angular, second = waveform.phase(jnp.zeros(()))
-    clock, natural = float(angular) / (2 * np.pi), np.zeros(0)
+    equations, waveform = motion.equations, motion.waveform
+    clock, natural = float(motion.clock) / (2 * np.pi), np.zeros(0)
     if equations.linear_between_contacts is not None:
         natural = np.asarray(equations.linear_between_contacts.angular_frequency) / (2 * np.pi)
     if np.max(natural, initial=0.0) > rate / 2:
@@ -66,7 +64,7 @@ def spectrum_of_history(
                 f"{2.56 * max(natural):.5g} Hz, or samples_per_period of at least "
                 f"{int(np.ceil(2.56 * max(natural) / clock))}."
             )
-    moving = abs(complex(drive.complex_amplitude(angular, second))) > 0
+    moving = float(motion.strength) > 0
     of_a_place = quantity in QUANTITIES and not is_force
     if position is None and of_a_place:
         position = history.system.reported_place

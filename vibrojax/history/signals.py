@@ -13,7 +13,7 @@ from vibrojax.history.quantities import (
     unit_and_label,
 )
 from vibrojax.history.samples import SampledMotion, times_of
-from vibrojax.model.drives import BaseMotion
+from vibrojax.model.drives import AbstractSignal, BaseMotion
 
 Signal = tuple[np.ndarray, str, str]
 """Values over time, unit and long name."""
@@ -30,7 +30,18 @@ def signals_of(history: SampledMotion, quantity: str, position: ArrayLike | None
     units, label = unit_and_label(quantity)
     forces = np.asarray(history.contact_force)
     below = [(forces, *QUANTITIES["contact_force"])] if forces.shape[1] else []
-    return [(np.asarray(values), units, label + place), *below]
+    signal = isinstance(history.motion.waveform, AbstractSignal)
+    driven = [input_of(history)] if signal and history.motion.drive.signal_factor else []
+    return [*driven, (np.asarray(values), units, label + place), *below]
+
+
+def input_of(history: SampledMotion) -> Signal:
+    """Return what drives a motion: the acceleration of the base, or the force."""
+    motion = history.motion
+    values = np.asarray(motion.drive.input(motion.waveform, jnp.asarray(history.time)))
+    if isinstance(motion.drive, BaseMotion):
+        return -values, "m/s2", "Base acceleration"
+    return values, "N", "Drive force"
 
 
 def chirp_signals(history: SampledMotion, quantities: tuple[str, ...]) -> list[Signal]:
@@ -52,6 +63,6 @@ def chirp_signals(history: SampledMotion, quantities: tuple[str, ...]) -> list[S
         base = np.asarray(drive.amplitude * jnp.sin(phase))
         driven = (base, "m", "Base displacement")
     else:
-        driven = (np.asarray(drive.input(motion.waveform, time)), "N", "Drive force")
+        driven = input_of(history)
     shown = [(np.asarray(quantity_of(history, n)[0]), *unit_and_label(n)) for n in quantities]
     return [driven, *shown, (np.asarray(rate) / (2 * np.pi), "Hz", "Drive frequency")]

@@ -17,7 +17,6 @@ from vibrojax._tools.checks import (
     check_choice,
     check_count,
     check_one,
-    check_one_number,
     check_positive,
     concrete,
 )
@@ -28,6 +27,7 @@ from vibrojax.ensemble.arguments import Zipped, arguments_of
 from vibrojax.ensemble.lanes import check_no_numbers, lanes_of
 from vibrojax.history.histories import Histories
 from vibrojax.history.history import History, history_of
+from vibrojax.history.sample_grid import longest_step, parts_under_signal, sample_grid
 from vibrojax.model.drives import AbstractWaveform, Harmonic
 from vibrojax.model.states import as_state
 from vibrojax.model.systems import (
@@ -38,9 +38,9 @@ from vibrojax.model.systems import (
     equations_of,
 )
 from vibrojax.stepping.choice import choose_stepper, prepare_motion
+from vibrojax.stepping.signal_grid import SignalGrid, march_on_grid
 from vibrojax.stepping.stepper import AbstractStepper, ExactContact
 
-MOST_SAMPLES = 100_000_000
 ATTEMPTS = 256
 """Most rounds per step that reverse mode keeps; those not made cost nothing."""
 One = float | int | Array | np.number[Any] | None
@@ -58,7 +58,8 @@ def motion(
     """Put the equations of a system and its drive in time together: the `args` of the solvers.
 
     Give at most one of `frequency` (Hz), `frequency_ratio` (to the first natural frequency of the
-    unstopped system) and `waveform` (`Harmonic`, `Chirp`). Raises `ValueError` for more than one.
+    unstopped system) and `waveform` (`Harmonic`, `Chirp`, `Tones`, `Sampled`). Raises `ValueError`
+    for more than one.
     """
     check_one("frequency", frequency, "Hz")
     check_one("frequency_ratio", frequency_ratio, "ratio")
@@ -134,8 +135,8 @@ def simulate(
         system: what moves, or a function that makes it from named numbers.
         zipped: groups of arguments that go along one axis, `vj.zipped(taper=..., gap=...)`.
         frequency, frequency_ratio, waveform: the drive in time, one of them (Hz; ratio to the
-            first natural frequency; `Harmonic` or `Chirp`), the first two one number, or a list as
-            an axis. None for a system without a drive.
+            first natural frequency; `Harmonic`, `Chirp`, `Tones` or `Sampled`), the first two one
+            number, or a list as an axis. None for a system without a drive.
         release: let the beam go from the static deflection with this tip displacement, m; or a
             list as an axis.
         initial_state: instead, at drive phase 0: what `system.state(displacement=...,
@@ -145,8 +146,9 @@ def simulate(
             default.
         initial_states: a list of such states: the axis `start`, counted from 1.
         periods: how long, in drive periods (of the first mode where nothing drives).
-        duration: how long, s, instead of periods.
-        samples_per_period: samples per such period.
+        duration: how long, s, instead of periods; under a `Sampled` its whole record by default.
+        samples_per_period: samples per such period; of the fastest of `Tones`. A `Sampled` has the
+            samples of its record.
         samples: number of intervals over the whole time, instead.
         sampling_rate: samples per second (Hz), instead: at least twice the highest natural
             frequency of the model, as an analyser would have to sample it.
@@ -244,6 +246,9 @@ class Task(NamedTuple):
     parts: int | None
     """Equal steps in a sample interval; None where the controller chooses."""
     max_steps: int | None
+    signal: SignalGrid | None
+    """Knots of an exact march under a signal; None: diffrax steps."""
+    reverse: bool
 
 
 def _task(system, drive, release, start, grid, stepping) -> Task:
@@ -255,83 +260,41 @@ def _task(system, drive, release, start, grid, stepping) -> Task:
             "The system has a drive: give frequency (Hz), frequency_ratio or waveform."
         )
     run = motion(system, **drive)
-    _, rate, second = run.waveform.phase(jnp.zeros(()))
-    period = 2 * jnp.pi / rate
-    length, per_period, intervals = _grid(run, period, *grid)
-    times = length * jnp.linspace(0.0, 1.0, intervals + 1)
+    sampled = sample_grid(run, *grid)
     state = _initial_state(system, run, start, release)
     stepper, controller, tolerance, gradient, max_steps = stepping
     if stepper is None or isinstance(stepper, AbstractStepper):
         stepper = choose_stepper(system, stepper, tolerance, None)
-    parts = None
-    if isinstance(stepper, AbstractStepper):
+    parts, signal = None, None
+    if isinstance(stepper, ExactContact) and sampled.signal is not None:
+        signal = sampled.signal
+    elif isinstance(stepper, AbstractStepper):
         if isinstance(stepper, ExactContact):
             most = (stepper.max_attempts or ATTEMPTS) if gradient == "reverse" else None
             stepper = ExactContact(stepper.tolerance, stepper.steps_per_period, most)
-        parts, controller = math.ceil(stepper.steps(run) / per_period), diffrax.ConstantStepSize()
+        parts = math.ceil(stepper.steps(run) / sampled.per_period)
+        parts, controller = parts_under_signal(run, sampled, parts), diffrax.ConstantStepSize()
     elif controller is None:
-        drive = jnp.abs(system.drive.complex_amplitude(rate, second)) / rate**2  # quasi-static
+        drive = run.strength / run.clock**2  # quasi-static
         unit = jnp.max(jnp.abs(run.equations.input(jnp.zeros(run.equations.size))))
         atol = 1e-3 * tolerance * (jnp.max(jnp.abs(state)) + drive * unit)
-        controller = diffrax.PIDController(rtol=tolerance, atol=atol, dtmax=period / 40)
+        longest = longest_step(run, sampled)
+        controller = diffrax.PIDController(rtol=tolerance, atol=atol, dtmax=longest)
     reverse = gradient == "reverse"
     adjoint = diffrax.RecursiveCheckpointAdjoint() if reverse else diffrax.ForwardMode()
     return Task(
-        as_arrays(system), run, stepper, controller, adjoint, times, state, parts, max_steps
+        as_arrays(system),
+        run,
+        stepper,
+        controller,
+        adjoint,
+        sampled.times,
+        state,
+        parts,
+        max_steps,
+        signal,
+        reverse,
     )
-
-
-def _grid(run, period, periods, duration, samples_per_period, samples, sampling_rate):
-    """Return the length of the run (s), samples per period and the number of intervals."""
-    if sampling_rate is not None:
-        if samples is not None:
-            raise ValueError("Give samples or sampling_rate (Hz), not both.")
-        _check_sampling(sampling_rate, run)
-    if (periods is None) == (duration is None):
-        raise ValueError("Give periods or duration (s), one of the two.")
-    check_count("samples_per_period", samples_per_period, least=2)
-    if samples is not None:
-        check_count("samples", samples)
-    if periods is not None:
-        check_positive("periods", periods, "(drive periods)")
-        length, count = periods * period, periods
-    else:
-        check_one_number("duration", duration, "s", "The motions of one call are equally long.")
-        length, count = jnp.asarray(duration, float), concrete(duration / period)
-    if sampling_rate is not None:
-        seconds = concrete(length)
-        samples = None if seconds is None else max(1, round(float(seconds) * sampling_rate))
-    if count is None or (samples is None and sampling_rate is not None):
-        raise ValueError(
-            "How many samples the run has depends on values that JAX is tracing: give periods, and "
-            "samples_per_period or samples, in place of duration or sampling_rate."
-        )
-    if samples is None:
-        # A duration is covered to its end; a number of periods has its samples exactly.
-        samples = count * samples_per_period
-        samples = math.ceil(samples) if periods is None else max(1, round(samples))
-    if samples > MOST_SAMPLES:
-        length_name = "duration" if periods is None else "periods"
-        raise ValueError(
-            f"{length_name} and samples_per_period, samples or sampling_rate ask for "
-            f"{samples:.3g} samples; at most {MOST_SAMPLES:,} fit into a memory. Ask for fewer."
-        )
-    return length, samples / float(count), samples
-
-
-def _check_sampling(sampling_rate, run):
-    """Refuse a sampling rate (Hz) that cannot show the highest mode."""
-    check_positive("sampling_rate", sampling_rate, "Hz")
-    linear = run.equations.linear_between_contacts
-    if linear is None:
-        return
-    highest = concrete(jnp.max(linear.angular_frequency) / (2 * jnp.pi))
-    if highest is not None and sampling_rate < 2 * highest:
-        raise ValueError(
-            f"sampling_rate must be at least twice the highest natural frequency of the model, "
-            f"2 x {float(highest):.6g} Hz, got {sampling_rate!r} Hz. Sample faster, or keep fewer "
-            "modes."
-        )
 
 
 def _initial_state(system, run, initial_state, release):
@@ -352,6 +315,10 @@ def _initial_state(system, run, initial_state, release):
 @compiled
 def solve(task: Task) -> History:
     """Integrate one lane."""
+    if task.signal is not None:
+        states = march_on_grid(task.run, task.signal, task.state, reverse=task.reverse)
+        ended = diffrax.RESULTS.successful
+        return history_of(task.system, task.run, task.times, states, ended)
     step, limit = None, 1_000_000
     if task.parts is not None:
         steps = (len(task.times) - 1) * task.parts

@@ -25,7 +25,7 @@ from vibrojax.identification.history_motions import (
 )
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.history import MeasuredHistory
-from vibrojax.model.drives import NoDrive
+from vibrojax.model.drives import BaseMotion, NoDrive
 from vibrojax.model.systems import AbstractSystem, equation_kinds
 from vibrojax.steady.batches import filled_up
 from vibrojax.stepping.choice import is_exact
@@ -173,6 +173,8 @@ class HistoryMisfit:
         given = [h.frequency_ratio if self.plan.is_ratio else h.frequency for h in repetitions]
         self.frequency = np.array([1.0 if f is None else f for f in given])
         self.release = np.array([h.release or 0.0 for h in repetitions])
+        self.record = _records(repetitions)
+        self.plan = self.plan._replace(together=all(map(_on_samples, parts)))
         self.shifts = np.zeros(0)
         """Shifts of the lanes last computed (model time less measured time), s."""
 
@@ -213,7 +215,12 @@ class HistoryMisfit:
 
     def _evaluate(self, values, which, precisely) -> tuple[Trial, np.ndarray]:
         trials = self.maker.trials(
-            rig_of, self.plan, values, self.frequency[which], self.release[which]
+            rig_of,
+            self.plan,
+            values,
+            self.frequency[which],
+            self.release[which],
+            self.record[which],
         )
         rigs = jax.device_get(trials.made)
         data = Data(*(part[which] for part in self.data))
@@ -306,6 +313,32 @@ class HistoryMisfit:
         return best
 
 
+def _records(repetitions: Sequence[MeasuredHistory]) -> Float[np.ndarray, "repetitions 2 samples"]:
+    """Times (s) and values of the drives as measured, as far as they are needed."""
+    found = []
+    for history in repetitions:
+        record = np.zeros((2, 0))
+        if history.waveform is not None:
+            record = np.stack([history.waveform.time, history.waveform.values])
+            last = float(history.windowed().time[-1])
+            record = record[:, : int(np.searchsorted(record[0], last)) + 1]
+        found.append(record)
+    # Shorter ones go on as they end.
+    longest = max(record.shape[1] for record in found)
+    return np.stack([np.pad(r, ((0, 0), (0, longest - r.shape[1])), mode="edge") for r in found])
+
+
+def _on_samples(history: MeasuredHistory) -> bool:
+    """Whether a history has its samples together with those of its drive, equally spaced."""
+    waveform = history.waveform
+    if waveform is None or not waveform.equally_spaced:
+        return False
+    time = np.asarray(waveform.time)
+    place = (history.time - time[0]) / (time[-1] - time[0]) * (time.size - 1)
+    known = place < time.size - 0.5
+    return bool(known.all() and np.max(np.abs(place - np.round(place))) < 1e-3)
+
+
 def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractSystem) -> Plan:
     """Decide what is computed. Raises `ValueError` for a history the system cannot have."""
     kind = type(system).__name__
@@ -326,10 +359,22 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
         )
     if history.release is not None and not beam:
         raise ValueError(f"release is for the tip of an ImpactingBeam, and this is a {kind}.")
-    driven = history.frequency is not None or history.frequency_ratio is not None
+    measured = history.waveform is not None
+    driven = measured or history.frequency is not None or history.frequency_ratio is not None
+    unknown = [name for name in channels if name in ("displacement", "velocity")]
+    if (
+        measured
+        and history.frame == "absolute"
+        and unknown
+        and isinstance(system.drive, BaseMotion)
+    ):
+        raise ValueError(
+            f"The absolute {unknown[0]} needs that of the base, and its waveform is measured as an "
+            "acceleration. Give the acceleration, or channels relative to the base."
+        )
     if history.release is None and isinstance(system.drive, NoDrive):
         raise ValueError(
-            "The history has a drive frequency, but the system has no drive. Give the system its "
+            "The history has a drive, but the system has none. Give the system its "
             "drive (BaseMotion or PointForce), or the history its release (m)."
         )
     begins = "settled" if history.settled else "rest"
@@ -337,7 +382,7 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
         channels=channels,
         position=history.position,
         absolute=history.frame == "absolute",
-        begins=begins if history.release is None else "release",
+        begins="signal" if measured else begins if history.release is None else "release",
         is_ratio=history.frequency is None,
         driven=driven,
         aligned=history.align_phase,

@@ -14,12 +14,15 @@ from jaxtyping import Array, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
-from vibrojax.model.drives import AbstractDrive, BaseMotion, Harmonic, NoDrive
+from vibrojax.model.drives import AbstractDrive, AbstractWaveform, BaseMotion, Harmonic, NoDrive
 from vibrojax.model.equations import LinearEquations
+from vibrojax.model.signals import Sampled
 from vibrojax.model.systems import Motion, as_arrays
 from vibrojax.steady.starting import stepper
 from vibrojax.stepping import splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
+from vibrojax.stepping.input_phases import input_phases
+from vibrojax.stepping.signal_march import march_equal, march_unequal
 from vibrojax.stepping.stepper import ExponentialSplitting
 
 lax = jax.lax
@@ -40,12 +43,14 @@ class Plan(NamedTuple):
     position: float | None
     absolute: bool
     begins: str
-    """`settled`, `rest` or `release`."""
+    """`settled`, `rest`, `release`, or `signal`: at rest, with a drive as measured."""
     is_ratio: bool
     """Whether the drive frequency is a ratio to the first natural one; else Hz."""
     driven: bool
     aligned: bool
     exact: bool
+    together: bool = False
+    """Whether all samples are some of an equally spaced drive as measured."""
 
 
 class Rig(eqx.Module):
@@ -61,6 +66,8 @@ class Rig(eqx.Module):
     """Displacement at the sensor, by coordinate."""
     start: Float[Array, "*lanes states"]
     """(q, q') at rest or at release."""
+    record: Float[Array, "*lanes 2 samples"]
+    """Times (s) and values of a drive as measured; without samples where there is none."""
     weight: Float[Array, "*lanes states"]
     """Weights that make states comparable: norms of weighted states are energies."""
 
@@ -77,7 +84,7 @@ class Passed(NamedTuple):
     derivative: Float[AnyArray, "lanes size directions"]
 
 
-def rig_of(system: Any, plan: Plan, frequency, release) -> Rig:
+def rig_of(system: Any, plan: Plan, frequency, release, record) -> Rig:
     """Make a trial rig ready to be driven at a frequency, or released."""
     equations = system.equations()
     unit = equations.angular_frequency[0] if plan.is_ratio else jnp.asarray(2 * jnp.pi)
@@ -93,12 +100,15 @@ def rig_of(system: Any, plan: Plan, frequency, release) -> Rig:
         angular_frequency=frequency * unit,
         sensor=sensor,
         start=jnp.concatenate([start, q]),
+        record=record,
         weight=equations.energy_weight,
     )
 
 
 def _motion(rig: Rig) -> Motion:
-    waveform = Harmonic(rig.angular_frequency / (2 * jnp.pi))
+    waveform: AbstractWaveform = Harmonic(rig.angular_frequency / (2 * jnp.pi))
+    if rig.record.shape[-1]:
+        waveform = Sampled(*rig.record)
     return Motion(rig.equations, rig.drive, waveform, rig.phases)
 
 
@@ -109,7 +119,7 @@ def _advance(motion: Motion, exact: bool, start, duration, state):
         return method.advance(motion, start, duration, state, None)
     equations = motion.equations.linear_between_contacts
     assert equations is not None  # checked before
-    _, rate, _ = motion.waveform.phase(start)
+    rate = motion.clock
     per_period = splitting.steps_for(equations, rate, jnp.asarray(method.tolerance))
     # An interval of length zero would have no derivative.
     duration = duration + 1e-12 / rate
@@ -123,8 +133,38 @@ def _advance(motion: Motion, exact: bool, start, duration, state):
     return lax.fori_loop(0, steps, one, state)
 
 
-def _states(rig: Rig, exact: bool, state, times: Float[Array, " samples"]):
-    """States (samples, states) at rising times (s) from 0, where the state is given."""
+def _driven_states(rig: Rig, plan: Plan, times: Float[Array, " samples"]):
+    """States (samples, states) at times (s) under a drive as measured, from rest."""
+    motion, begun = _motion(rig), jnp.zeros_like(rig.weight)
+    exact = plan.exact
+    if exact and plan.together:
+        moments, values = rig.record
+        step = (moments[-1] - moments[0]) / (moments.shape[0] - 1)
+        phases = input_phases(rig.equations, rig.drive, motion.waveform)
+        found = march_equal(
+            phases,
+            phases.begin(begun, moments[0]),
+            rig.drive.signal_factor * values,
+            step,
+            stride=1,
+            count=moments.shape[0] - 1,
+            reverse=False,
+        )
+        place = jnp.round((times - moments[0]) / step).astype(int)
+        return found[place, : phases.states] * phases.scale
+    knots = jnp.sort(jnp.concatenate([rig.record[0], times]))
+    if not exact:
+        states = _states(rig, exact, begun, knots, knots[0])
+    else:
+        phases = input_phases(rig.equations, rig.drive, motion.waveform)
+        values = rig.drive.input(motion.waveform, knots)
+        found = march_unequal(phases, phases.begin(begun, knots[0]), values, knots, reverse=False)
+        states = found[:, : phases.states] * phases.scale
+    return states[jnp.searchsorted(knots, times)]
+
+
+def _states(rig: Rig, exact: bool, state, times: Float[Array, " samples"], begun=0.0):
+    """States (samples, states) at rising times (s), from when the state is given."""
     motion = _motion(rig)
 
     def step(carry, time):
@@ -132,7 +172,7 @@ def _states(rig: Rig, exact: bool, state, times: Float[Array, " samples"]):
         state = _advance(motion, exact, before, time - before, state)
         return (state, time), state
 
-    _, states = lax.scan(step, (state, jnp.zeros_like(times[0])), times)
+    _, states = lax.scan(step, (state, jnp.zeros_like(times[0]) + begun), times)
     return states
 
 
@@ -142,7 +182,7 @@ def _signals(rig: Rig, plan: Plan, times, states) -> Float[Array, "channels samp
     equations = motion.sharp_equations()
     moving = plan.absolute and isinstance(rig.drive, BaseMotion)
     base = rig.drive.amplitude if isinstance(rig.drive, BaseMotion) and moving else 0.0
-    w = rig.angular_frequency
+    w, measured = rig.angular_frequency, plan.begins == "signal"
 
     def read(time, state):
         q, v = jnp.split(state, 2)
@@ -156,7 +196,8 @@ def _signals(rig: Rig, plan: Plan, times, states) -> Float[Array, "channels samp
             elif name == "acceleration":
                 push = rig.drive.input(motion.waveform, time)
                 a = rig.sensor @ equations.acceleration(q, v, push)
-                shown.append(a - base * w**2 * jnp.sin(angle))
+                of_base = -push * moving if measured else -base * w**2 * jnp.sin(angle)
+                shown.append(a + of_base)
             else:
                 shown.append(jnp.sum(equations.contact_forces(q, v)))
         return jnp.stack(shown)
@@ -230,6 +271,9 @@ def pass_through(rigs: Rig, slopes: Rig, plan: Plan, time, state, shift, period)
         settled = plan.begins == "settled"
 
         def model(rig, shift, state):
+            if plan.begins == "signal":
+                states = _driven_states(rig, plan, time)
+                return _signals(rig, plan, time, states).reshape(-1), states[-1]
             at = time + shift
             length = period * 2 * jnp.pi / rig.angular_frequency
             if settled:

@@ -36,6 +36,7 @@ from vibrojax.measured.scatter import (
 )
 from vibrojax.measured.tables import read_table
 from vibrojax.measured.units import UNITS
+from vibrojax.model.signals import Sampled
 
 CHANNELS = {
     "displacement": "m",
@@ -69,7 +70,7 @@ class HistoryNoise(NamedTuple):
 class MeasuredHistory:
     """Measured signals over time; arrays have the shape (samples,).
 
-    Raises `ValueError` when no signal or no drive frequency or release is there, lengths differ, a
+    Raises `ValueError` when no signal or no drive or release is there, lengths differ, a
     value is not finite, time does not rise, or a number or name is not one of those allowed.
     """
 
@@ -91,6 +92,8 @@ class MeasuredHistory:
     """Drive frequency over the first natural one, when it is known so."""
     release: float | None = None
     """Displacement of the tip (m) from which the beam is let go at rest; it needs no drive."""
+    waveform: Sampled | None = None
+    """Drive as measured, on the same clock; the motion begins at rest with its first sample."""
     position: float | None = None
     """Place s = x/L of the sensor; None: where the system reports, the tip of a beam."""
     frame: str = "relative"
@@ -114,10 +117,12 @@ class MeasuredHistory:
         self._check_arrays()
         if self.frequency is not None and self.frequency_ratio is not None:
             raise ValueError("Give frequency (Hz) or frequency_ratio, not both.")
-        if self.frequency is None and self.frequency_ratio is None and self.release is None:
+        if self.waveform is not None:
+            self._check_waveform(self.waveform)
+        elif self.frequency is None and self.frequency_ratio is None and self.release is None:
             raise ValueError(
-                "Give the drive's frequency (Hz) or frequency_ratio, or the release (m) from which "
-                "the beam was let go."
+                "Give the drive's frequency (Hz) or frequency_ratio, its waveform as measured, or "
+                "the release (m) from which the beam was let go."
             )
         for name, unit in (("frequency", "Hz"), ("frequency_ratio", "(ratio)")):
             if getattr(self, name) is not None:
@@ -144,6 +149,21 @@ class MeasuredHistory:
                 )
         object.__setattr__(self, "parameters", check_parameters(self.parameters))
         object.__setattr__(self, "notes", tuple(self.notes))
+
+    def _check_waveform(self, waveform: Sampled) -> None:
+        others = ("frequency", "frequency_ratio", "release")
+        given = [name for name in others if getattr(self, name) is not None]
+        if given:
+            raise ValueError(f"Give waveform or {given[0]}, not both.")
+        begun = float(waveform.start)
+        if self.time[0] < begun:
+            raise ValueError(
+                f"time must begin with the waveform, at {begun:g} s, or later, got "
+                f"{self.time[0]:g} s."
+            )
+        # One clock has both: no shift is sought.
+        object.__setattr__(self, "settled", False)
+        object.__setattr__(self, "align_phase", False)
 
     def _check_arrays(self) -> None:
         for name in ("time", *CHANNELS):
@@ -235,6 +255,8 @@ class MeasuredHistory:
         lines.append(f"  measured {place}, {self.frame}")
         drives = {"frequency": " Hz", "frequency_ratio": "", "release": " m"}
         settings = [f"{n} {getattr(self, n):g}{u}" for n, u in drives.items() if getattr(self, n)]
+        if self.waveform is not None:
+            settings.append(f"drive {self.waveform!r}")
         lines.append(f"  {', '.join([*settings, 'settled' if self.settled else 'transient'])}")
         if self.parameters:
             lines.append("  " + ", ".join(f"{k} = {v:g}" for k, v in self.parameters.items()))
@@ -251,6 +273,7 @@ def read_measured_history(
     frequency: float | None = None,
     frequency_ratio: float | None = None,
     release: float | None = None,
+    waveform: Sampled | None = None,
     position: float | None = None,
     frame: str | None = None,
     window: tuple[float, float] | None = None,
@@ -273,6 +296,7 @@ def read_measured_history(
         frequency: drive frequency, Hz.
         frequency_ratio: instead, drive frequency over the first natural one.
         release: displacement of the tip (m) from which the beam is let go at rest.
+        waveform: the drive as measured, on the same clock, such as `vj.io.read_drive` returns.
         position: place x/L of the sensor; None: the tip.
         frame: `relative` to the moving base, or `absolute`; None: relative.
         window: start and end (s) of the samples that count; None: all.
@@ -329,6 +353,7 @@ def read_measured_history(
             frequency=frequency,
             frequency_ratio=frequency_ratio,
             release=release,
+            waveform=waveform,
             position=position,
             frame=frame or "relative",
             window=window,

@@ -1,6 +1,7 @@
 """What moves: beams, stops, contact laws, drives, and the equations of systems."""
 
 from vibrojax.model.drives import AbstractDrive as AbstractDrive
+from vibrojax.model.drives import AbstractSignal as AbstractSignal
 from vibrojax.model.drives import AbstractWaveform as AbstractWaveform
 from vibrojax.model.equations import AbstractEquations as AbstractEquations
 from vibrojax.model.equations import LinearEquations as LinearEquations
@@ -14,6 +15,10 @@ from vibrojax.model.modes import Modes as Modes
 from vibrojax.model.oscillator import Oscillator as Oscillator
 from vibrojax.model.piezo import PiezoLayers as PiezoLayers
 from vibrojax.model.piezo import bimorph as bimorph
+from vibrojax.model.pulses import half_sine as half_sine
+from vibrojax.model.pulses import sawtooth as sawtooth
+from vibrojax.model.pulses import trapezoid as trapezoid
+from vibrojax.model.random_signal import random_signal as random_signal
 from vibrojax.model.reduction import Reduction as Reduction
 from vibrojax.model.reduction import reduce as reduce
 from vibrojax.model.relaxing_laws import AbstractRelaxingLaw as AbstractRelaxingLaw

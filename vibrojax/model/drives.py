@@ -31,6 +31,35 @@ class AbstractWaveform(eqx.Module):
         return described(self)
 
 
+class AbstractSignal(AbstractWaveform):
+    """A drive in time without a phase: it is known by its values."""
+
+    @abstractmethod
+    def input(self, drive: "AbstractDrive", time: Values) -> Values:
+        """Return what a drive puts in at `time` (s): m/s2 or N; see `AbstractDrive.input`."""
+
+    @abstractmethod
+    def strength(self, drive: "AbstractDrive") -> Values:
+        """Return the largest input by a drive, about, m/s2 or N."""
+
+    @property
+    @abstractmethod
+    def start(self) -> Values:
+        """When motions under it begin, s."""
+
+    @property
+    @abstractmethod
+    def clock(self) -> Values:
+        """Angular frequency by which steps are chosen where a system has no modes, rad/s."""
+
+    def phase(self, time: Values) -> tuple[Values, Values, Values]:
+        """Raise `ValueError`: there is none."""
+        kind = type(self).__name__
+        raise ValueError(
+            f"A {kind} has no drive phase. Give a Harmonic or a Chirp, or read what needs no phase."
+        )
+
+
 @validated
 class Harmonic(AbstractWaveform):
     """sin(2 pi frequency t). Raises `ValueError` unless the frequency (Hz) is above 0."""
@@ -109,11 +138,18 @@ class AbstractDrive(eqx.Module):
     def reference(self) -> tuple[ArrayLike, str]:
         """Amplitude by which responses are divided, and the unit of a displacement over it."""
 
+    @property
+    @abstractmethod
+    def signal_factor(self) -> float:
+        """Input by a unit of a measured signal: -1 of a base acceleration, 1 of a force."""
+
     def input(self, waveform: AbstractWaveform, time: Values) -> Values:
         """Return the input at `time` (s): base acceleration with its sign changed, or force.
 
-        `waveform` gives the phase at any time.
+        `waveform` gives the phase at any time, or is a signal of its own.
         """
+        if isinstance(waveform, AbstractSignal):
+            return waveform.input(self, time)
         phase, rate, second = waveform.phase(time)
         amplitude = self.complex_amplitude(rate, second)
         return amplitude.real * jnp.sin(phase) + amplitude.imag * jnp.cos(phase)
@@ -126,10 +162,11 @@ class AbstractDrive(eqx.Module):
 class BaseMotion(AbstractDrive):
     """The base, stop included, moves as chi = amplitude sin(phase).
 
+    Under a `Sampled` waveform it has the acceleration that was measured, and needs no amplitude.
     Source: Gandhi and Vyas 2017, sec. 2.1. Raises `ValueError` for a negative amplitude.
     """
 
-    amplitude: Number = number_field("m")
+    amplitude: Number = number_field("m", default=0.0)
     """Displacement amplitude sigma of the base, m."""
 
     def __check_init__(self) -> None:
@@ -145,15 +182,21 @@ class BaseMotion(AbstractDrive):
         """Amplitude of the base: ratios are dimensionless."""
         return self.amplitude, "1"
 
+    @property
+    def signal_factor(self) -> float:
+        """-1: what is measured is the acceleration of the base."""
+        return -1.0
+
 
 @validated
 class PointForce(AbstractDrive):
     """A force amplitude sin(phase) at one place of the beam.
 
-    Raises `ValueError` for a negative amplitude or a position outside (0, 1].
+    Under a `Sampled` waveform it is the force that was measured, and needs no amplitude. Raises
+    `ValueError` for a negative amplitude or a position outside (0, 1].
     """
 
-    amplitude: Number = number_field("N")
+    amplitude: Number = number_field("N", default=0.0)
     """Force amplitude, N."""
     position: Number = number_field(default=1.0)
     """Place along the beam, x/L."""
@@ -172,6 +215,11 @@ class PointForce(AbstractDrive):
         """Amplitude of the force: ratios are receptances, m/N."""
         return self.amplitude, "m/N"
 
+    @property
+    def signal_factor(self) -> float:
+        """1: what is measured is the force."""
+        return 1.0
+
 
 @validated
 class NoDrive(AbstractDrive):
@@ -185,3 +233,8 @@ class NoDrive(AbstractDrive):
     def reference(self) -> tuple[ArrayLike, str]:
         """1: a free system has displacements only, m."""
         return 1.0, "m"
+
+    @property
+    def signal_factor(self) -> float:
+        """0: no signal acts."""
+        return 0.0

@@ -6,8 +6,8 @@ import equinox as eqx
 import numpy as np
 
 from vibrojax._tools.described import shown_value
-from vibrojax.model.stop_forces import contact_slope
 from vibrojax.model.laws import AbstractContactLaw
+from vibrojax.model.stop_forces import contact_slope
 from vibrojax.model.systems import (
     AbstractSystem,
     SystemType,

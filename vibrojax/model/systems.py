@@ -18,7 +18,7 @@ from vibrojax._tools.checks import check_index, name_of
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.described import described, in_short, shown_value
 from vibrojax._tools.signatures import check_not_traced, check_one_lane, validated
-from vibrojax.model.drives import AbstractDrive, AbstractWaveform
+from vibrojax.model.drives import AbstractDrive, AbstractSignal, AbstractWaveform
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.states import Displacement, as_state, check_coordinates
 from vibrojax.model.stops import Stop
@@ -249,6 +249,26 @@ class Motion(eqx.Module):
 
     def __repr__(self) -> str:
         return described(self)
+
+    @property
+    def clock(self) -> Float[Array, ""]:
+        """Angular frequency of the drive at the beginning, rad/s; under a signal of the first mode.
+
+        Of 64 samples or of the first tone where a system has no modes.
+        """
+        waveform, linear = self.waveform, self.equations.linear_between_contacts
+        if not isinstance(waveform, AbstractSignal):
+            return waveform.phase(jnp.zeros(()))[1]
+        return waveform.clock if linear is None else linear.angular_frequency[0]
+
+    @property
+    def strength(self) -> Float[Array, ""]:
+        """Size of the input at the beginning, m/s2 or N; under a signal the largest one."""
+        waveform = self.waveform
+        if isinstance(waveform, AbstractSignal):
+            return waveform.strength(self.drive)
+        _, rate, second = waveform.phase(jnp.zeros(()))
+        return jnp.abs(self.drive.complex_amplitude(rate, second))
 
     def sharp_equations(self) -> AbstractEquations:
         """Return the equations with the corner of the contact force kept, where it can be."""

@@ -232,3 +232,17 @@ def _set_height(axes: Axes, values: np.ndarray, is_amplitude: bool) -> None:
 def _write_above(axes: Axes, words: str, place: tuple, **style: Any) -> None:
     offset = {"xytext": (0, 3), "textcoords": "offset points", "ha": "center", "va": "bottom"}
     axes.annotate(words, place, fontsize=SMALL, **(offset | style))
+
+
+def plot_shock(spectrum: xarray.Dataset) -> Figure:
+    """Draw a shock response spectrum on logarithmic axes."""
+    _, axes = new_picture()
+    names = {"maximax": ("larger of both", "-", 2.0), "positive": ("positive", "--", 1.3)}
+    names["negative"] = ("negative", ":", 1.6)
+    colors = dict(zip(names, ("black", "blue", "orange"), strict=True))
+    for name, (words, style, width) in names.items():
+        values = np.where(spectrum[name] > 0, spectrum[name], np.nan)
+        line = {"linestyle": style, "linewidth": width, "color": COLORS[colors[name]]}
+        axes.loglog(spectrum["frequency"], values, label=words, **line)
+    damping = f"Damping ratio of the oscillators {spectrum.attrs['damping_ratio']:g}"
+    return finish(axes, label_for(spectrum["frequency"]), label_for(spectrum["maximax"]), damping)

@@ -141,7 +141,7 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
         pulled = from_state @ (push @ (form.stiffness * form.gap) + form.load / scale / unit)
         decay = jnp.stack([values[first].real, values[second].real])
         turn = jnp.where(oscillates, values[first].imag, 0.0)
-        rest = _at_rest(decay, turn, pulled)
+        rest = block_rest(decay, turn, pulled)
         return (
             decay * unit,
             turn * unit,
@@ -208,9 +208,11 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     )
 
 
-def _at_rest(
-    decay: Float[Array, "2 blocks"], turn: Float[Array, " blocks"], pulled: Float[Array, " states"]
-) -> Float[Array, " states"]:
+def block_rest(
+    decay: Float[Array, "2 blocks *#lanes"],
+    turn: Float[Array, "blocks *#lanes"],
+    pulled: Float[Array, "states *lanes"],
+) -> Float[Array, "states *lanes"]:
     """Block coordinates at which the blocks, [[a, -b], [b, a]] or diag(a1, a2), undo a pull."""
     top, bottom = jnp.split(pulled, 2)
     determinant = decay[0] * decay[1] + turn**2

@@ -101,8 +101,7 @@ class LinearlyImplicit(AbstractStepper):
 
         Raises `ValueError` for a step that is too long for the damping.
         """
-        _, rate, _ = motion.waveform.phase(jnp.zeros(()))
-        period = concrete(2 * jnp.pi / rate)
+        period = concrete(2 * jnp.pi / motion.clock)
         fastest = concrete(_fastest_damping(_without_memory(motion.equations)))
         if period is None or fastest is None:
             return self.steps_per_period or math.ceil(STEPS * (1e-4 / self.tolerance) ** 0.5)

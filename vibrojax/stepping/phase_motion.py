@@ -8,7 +8,12 @@ from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int, Shaped
 
 from vibrojax._tools.trigonometry import cosine_and_sine
 from vibrojax._tools.types import AnyArray
-from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
+from vibrojax.stepping.contact_phases import (
+    ContactPhases,
+    block_rest,
+    forced_blocks,
+    resonant_blocks,
+)
 from vibrojax.stepping.resonance import driven_growth
 from vibrojax.stepping.turns import turn_over, turned
 
@@ -90,6 +95,10 @@ class PhaseMotion(NamedTuple):
     """Input of blocks in resonance, which have no steady response."""
     angle: Float[Array, " lanes"]
     rate: Float[Array, " lanes"]
+    level: Float[Array, "states lanes"]
+    """What blocks follow at the beginning under an input that runs straight."""
+    slope: Float[Array, "states lanes"]
+    """Its rate, per s."""
 
 
 def begin_phase(
@@ -99,13 +108,22 @@ def begin_phase(
     angle: PerLane,
     rate: PerLane,
     amplitude: Complex[Array, " lanes"],
+    level: PerLane,
+    slope: PerLane,
 ) -> PhaseMotion:
-    """Put states of one phase into block coordinates."""
+    """Put states of one phase into block coordinates.
+
+    The input is Im(amplitude exp(i (angle + rate t))) + level + slope t.
+    """
     steady = forced_blocks(phases, amplitude, rate)[phase]
     driven = resonant_blocks(phases, amplitude, rate)[phase]
     wave = steady.real * jnp.sin(angle) + steady.imag * jnp.cos(angle)
-    blocks = phases.from_state[phase] @ state - phases.rest[phase][:, None] - wave
-    return PhaseMotion(blocks, steady, driven, angle, rate)
+    decay, turn = phases.exponent[phase][..., None], phases.rate[phase][:, None]
+    input_ = phases.input[phase][:, None]
+    sloping = block_rest(decay, turn, input_ * slope)
+    followed = block_rest(decay, turn, input_ * level - sloping)
+    blocks = phases.from_state[phase] @ state - phases.rest[phase][:, None] - wave - followed
+    return PhaseMotion(blocks, steady, driven, angle, rate, followed, sloping)
 
 
 def follow(
@@ -118,7 +136,7 @@ def follow(
         return a.reshape(a.shape + (1,) * places)
 
     decay, turn = wide(phases.exponent[phase][..., None]), wide(phases.rate[phase][:, None])
-    blocks, steady, driven, begun, rate = map(wide, motion)
+    blocks, steady, driven, begun, rate, level, slope = map(wide, motion)
     moved = driven_blocks(decay, turn, blocks, driven, begun, rate, time)
 
     def derived(z: Float[Array, "states lanes *places"]) -> Float[Array, "states lanes *places"]:
@@ -136,7 +154,8 @@ def follow(
     # d/dt of Im(Z exp(i angle)) is Im(i w Z exp(i angle)).
     wave_change = rate * (steady.real * cosine - imag)
     second_change = derived(change) + driven_change - rate**2 * wave
-    return moved + rest + wave, change + wave_change, second_change
+    straight = level + slope * time
+    return moved + rest + wave + straight, change + wave_change + slope, second_change
 
 
 def read_stops(

@@ -9,6 +9,7 @@ every contact law; in lanes it carries trailing axes as `exact_contact` does.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -18,6 +19,7 @@ from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.trigonometry import cosine_and_sine
+from vibrojax.model.drives import AbstractSignal
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.stop_forces import (
     contact_slope,
@@ -32,6 +34,7 @@ from vibrojax.stepping.cubic import cubic_maximum
 from vibrojax.stepping.elementary import computed_once, where_needed
 from vibrojax.stepping.measures import Measures, Segment, no_measures
 from vibrojax.stepping.resonance import driven_growth, is_resonant
+from vibrojax.stepping.straight_input import straight_states
 
 Modes = Float[Array, "modes *#lanes"]
 Lanes = Float[Array, "*#lanes"]
@@ -254,33 +257,41 @@ def step_from(
 ) -> Float[Array, " states"]:
     """Take one step of one lane from a time (s), for any waveform.
 
-    Harmonic drives are exact; of a chirp the step takes the frequency and amplitude of its middle.
+    Harmonic drives and straight signals are exact; of a chirp the step takes the frequency and
+    amplitude of its middle.
     """
     equations = motion.equations.linear_between_contacts
     if equations is None:
         raise ValueError("ExponentialSplitting needs a system that is linear but for its stops.")
-    phase, _, _ = motion.waveform.phase(start)
-    phase_end, _, _ = motion.waveform.phase(start + duration)
-    phase_middle, rate, second = motion.waveform.phase(start + duration / 2)
-    amplitude = motion.drive.complex_amplitude(rate, second)
-    frequency = (phase_end - phase) / duration
-    forced, driven = steady(equations, amplitude, frequency)
-
-    def at(angle):
-        return forced.real * jnp.sin(angle) + forced.imag * jnp.cos(angle)
-
-    half = driven_flow(equations, driven, frequency, duration / 2)
-    q, v, memory = equations.split(state - at(phase))
-    q, v = half(q, v, phase)
+    if isinstance(motion.waveform, AbstractSignal):
+        check_uncoupled(equations)
+        begun, halfway, end = straight_states(equations, motion, start, duration, (0.0, 0.5, 1.0))
+        free = drift(equations.angular_frequency, equations.damping_ratio, duration / 2)
+        first = second = free
+    else:
+        phase, _, _ = motion.waveform.phase(start)
+        phase_end, _, _ = motion.waveform.phase(start + duration)
+        phase_middle, rate, second_rate = motion.waveform.phase(start + duration / 2)
+        amplitude = motion.drive.complex_amplitude(rate, second_rate)
+        frequency = (phase_end - phase) / duration
+        forced, driven = steady(equations, amplitude, frequency)
+        begun, halfway, end = (
+            forced.real * jnp.sin(angle) + forced.imag * jnp.cos(angle)
+            for angle in (phase, phase_middle, phase_end)
+        )
+        half = driven_flow(equations, driven, frequency, duration / 2)
+        first, second = (partial(half, angle=angle) for angle in (phase, phase_middle))
+    q, v, memory = equations.split(state - begun)
+    q, v = first(q, v)
     if equations.stops:
         contact = contact_of(equations, 0)
-        forced_q, forced_v, _ = equations.split(at(phase_middle))
+        forced_q, forced_v, _ = equations.split(halfway)
         depth = contact.towards @ (q + forced_q) - contact.gap
         rate = contact.towards @ (v + forced_v)
         impulse, memory = kick(contact, depth, rate, memory, duration)
         v = v - contact.push @ impulse
-    q, v = half(q, v, phase_middle)
-    return jnp.concatenate([q, v, memory]) + at(phase_end)
+    q, v = second(q, v)
+    return jnp.concatenate([q, v, memory]) + end
 
 
 def march(

@@ -263,11 +263,10 @@ class ExactContact(AbstractStepper):
         """As many as the march would take; 64 when that depends on numbers that JAX is tracing."""
         if self.steps_per_period is not None:
             return self.steps_per_period
-        _, rate, _ = motion.waveform.phase(jnp.zeros(()))
         phases = motion.prepared
         if phases is None:
             phases = phases_of(_linear(motion.equations, "ExactContact"))
-        steps = concrete(_exact_steps(phases, rate, jnp.asarray(self.tolerance)))
+        steps = concrete(_exact_steps(phases, motion.clock, jnp.asarray(self.tolerance)))
         return 64 if steps is None else max(32, math.ceil(float(steps)))
 
     def prepare(self, equations: AbstractEquations, drive: AbstractDrive) -> ExactMarch:
@@ -341,9 +340,8 @@ class ExponentialSplitting(AbstractStepper):
         """As many as the contact and the tolerance, or `steps_per_period`, ask for."""
         if self.steps_per_period is not None:
             return self.steps_per_period
-        _, rate, _ = motion.waveform.phase(jnp.zeros(()))
         linear = _uncoupled(motion.equations)
-        steps = concrete(splitting.steps_of(linear, rate, jnp.asarray(self.tolerance)))
+        steps = concrete(splitting.steps_of(linear, motion.clock, jnp.asarray(self.tolerance)))
         if steps is None:
             raise ValueError(
                 "The number of steps depends on values that JAX is tracing: give the solver, as "
