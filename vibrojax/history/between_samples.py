@@ -22,7 +22,7 @@ def engine_of(motion: Motion) -> ModuleType:
             "The motion between samples is known of systems that are linear but for their stops "
             f"(ImpactingBeam, MatrixSystem), not of {type(motion.equations).__name__}."
         )
-    if linear.stiffness_sign is not None:
+    if linear.stiffness_sign is not None and not linear.free:
         raise ValueError(
             "The motion between samples is not known of systems with modes that fall away from "
             "rest (LinearisedPendulum). Read contact_force and quantity(...) of a history with "

@@ -29,6 +29,7 @@ from vibrojax.history.histories import Histories
 from vibrojax.history.history import History, history_of
 from vibrojax.history.sample_grid import longest_step, parts_under_signal, sample_grid
 from vibrojax.model.drives import AbstractWaveform, Harmonic
+from vibrojax.model.signals import Tones
 from vibrojax.model.states import as_state
 from vibrojax.model.systems import (
     AbstractSystem,
@@ -78,6 +79,10 @@ def motion(
             # Without a drive the first natural frequency only serves as a clock.
             frequency = natural * (1.0 if frequency_ratio is None else frequency_ratio)
         waveform = Harmonic(jnp.asarray(frequency))
+    linear = equations.linear_between_contacts
+    if linear is not None and linear.free and isinstance(waveform, Harmonic):
+        # The march under signals needs no natural frequencies.
+        waveform = Tones(jnp.asarray(waveform.frequency)[None])
     drive, waveform = as_arrays(system.drive), as_arrays(waveform)
     return Motion(equations, drive, waveform, prepare_motion(system, equations))
 

@@ -151,7 +151,7 @@ def _driven_states(rig: Rig, plan: Plan, times: Float[Array, " samples"]):
             reverse=False,
         )
         place = jnp.round((times - moments[0]) / step).astype(int)
-        return found[place, : phases.states] * phases.scale
+        return found[place, : phases.scale.shape[0]] * phases.scale
     knots = jnp.sort(jnp.concatenate([rig.record[0], times]))
     if not exact:
         states = _states(rig, exact, begun, knots, knots[0])
@@ -159,7 +159,7 @@ def _driven_states(rig: Rig, plan: Plan, times: Float[Array, " samples"]):
         phases = input_phases(rig.equations, rig.drive, motion.waveform)
         values = rig.drive.input(motion.waveform, knots)
         found = march_unequal(phases, phases.begin(begun, knots[0]), values, knots, reverse=False)
-        states = found[:, : phases.states] * phases.scale
+        states = found[:, : phases.scale.shape[0]] * phases.scale
     return states[jnp.searchsorted(knots, times)]
 
 

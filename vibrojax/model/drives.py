@@ -139,9 +139,9 @@ class AbstractDrive(eqx.Module):
         """Amplitude by which responses are divided, and the unit of a displacement over it."""
 
     @property
-    @abstractmethod
     def signal_factor(self) -> float:
         """Input by a unit of a measured signal: -1 of a base acceleration, 1 of a force."""
+        return 1.0
 
     def input(self, waveform: AbstractWaveform, time: Values) -> Values:
         """Return the input at `time` (s): base acceleration with its sign changed, or force.

@@ -217,6 +217,9 @@ class LinearEquations(AbstractEquations):
     """Stiffness over mass beyond w_i^2, 1/s2; None where coordinates are those of modes."""
     internal: InternalStates | None = None
     """States of first order of the structure; None where it has none."""
+    free: bool = eqx.field(static=True, default=False)
+    """Whether there are modes without stiffness (`stiffness_sign` 0): a body that nothing holds.
+    Their `angular_frequency` is a mere unit."""
     load: PerCoordinate | None = None
     """Acceleration of the coordinates by forces that stay the same, gravity say; None: none."""
 
@@ -243,7 +246,7 @@ class LinearEquations(AbstractEquations):
     def is_modal(self) -> bool:
         """Whether every coordinate is that of a mode that moves alone, about 0, contact apart."""
         coupled = self.damping_coupling, self.stiffness_coupling, self.internal, self.load
-        return all(part is None for part in coupled)
+        return not self.free and all(part is None for part in coupled)
 
     @property
     def internal_size(self) -> int:

@@ -38,6 +38,11 @@ class AsMeasured(AbstractDrive):
         """1, and the unit of the response."""
         return 1.0, self.unit
 
+    @property
+    def signal_factor(self) -> float:
+        """That of the drive."""
+        return self.drive.signal_factor
+
 
 @validated
 class Harvester(AbstractSystem):

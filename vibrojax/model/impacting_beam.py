@@ -7,7 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from vibrojax._tools.checks import check_choice, check_count, check_not_negative, number_field
+from vibrojax._tools.checks import (
+    check_choice,
+    check_count,
+    check_not_negative,
+    check_range,
+    number_field,
+)
 from vibrojax._tools.signatures import validated
 from vibrojax.model.beam import Cantilever
 from vibrojax.model.drives import AbstractDrive, NoDrive, PointForce
@@ -47,6 +53,9 @@ class ImpactingBeam(AbstractSystem):
     """Whether one shape more for each stop makes the static flexibility there exact.
 
     Modes left out act as a spring in series with a stop; see `vibrojax.model.residual_shapes`."""
+    gravity: float | Float[Array, "..."] | None = number_field("m/s2", default=None)
+    """Acceleration of free fall towards y > 0, m/s2, which bends the beam at rest; None: none.
+    Displacements count from the straight beam."""
 
     def __check_init__(self) -> None:
         """Refuse concrete values that are not a rig."""
@@ -57,6 +66,8 @@ class ImpactingBeam(AbstractSystem):
                     "Stop of a beam its place; None is for a MatrixSystem."
                 )
         check_not_negative("damping_ratio", self.damping_ratio, "(fraction of critical)")
+        if self.gravity is not None:
+            check_range("gravity", self.gravity, allowed="a finite acceleration in m/s2")
         check_count("num_modes", self.num_modes, most=1000)
         check_choice("formulation", self.formulation, FORMULATIONS)
         if self.static_correction and self.formulation != "consistent":
@@ -100,6 +111,7 @@ class ImpactingBeam(AbstractSystem):
             force_map=(stop_map / free.modal_mass).T,
             response_map=free.shape(1.0),
             modal_mass=free.modal_mass,
+            load=None if self.gravity is None else free.participation * self.gravity,
         )
 
     def with_stops(

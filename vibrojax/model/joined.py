@@ -276,6 +276,7 @@ def side_by_side(first: LinearEquations, second: LinearEquations, shared: int) -
         gauge=JoinedGauge(first.gauge, second.response_map),
         stiffness_coupling=in_blocks("stiffness_coupling"),
         load=in_a_row("load", jnp.zeros),
+        free=first.free or second.free,
         internal=_internal(first, second, at_stops),
     )
 

@@ -13,12 +13,13 @@ from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import check_count, concrete
 from vibrojax._tools.described import shown_value
-from vibrojax._tools.kinds import ARRAY
-from vibrojax._tools.signatures import refuse_kind, validated
+from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive, NoDrive
 from vibrojax.model.equations import LinearEquations
+from vibrojax.model.matrix_checks import check_array, check_definite, check_symmetric, dense
 from vibrojax.model.residual_shapes import residual_modes
 from vibrojax.model.states import Displacement, check_coordinates
+from vibrojax.model.stop_forces import contact_slope
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import (
     AbstractSystem,
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
     SparseMatrix = sparray | spmatrix
 
 Matrix = ArrayLike | Sequence[Any]
-MOST = 3000
-"""Rows of a sparse matrix, up to which it is made dense: its eigenvalues take 10 s then."""
 
 
 class MatrixModes(NamedTuple):
@@ -74,6 +73,10 @@ class MatrixSystem(AbstractSystem):
             relative to the base).
         response_map: displacement that a frequency response reports, by coordinate, shape (n,).
         num_modes: how many modes are kept; None keeps all n.
+        load: forces that stay the same, by coordinate, shape (n,), N: gravity, a preload.
+        free_modes: how many modes are motions of a free body, which nothing holds: K has as many
+            eigenvalues 0. Histories of free bodies are exact; steady motions hold them by a spring
+            so soft that they are wrong by some 1e-6.
         static_correction: whether one shape more for each stop makes the static flexibility there
             exact: modes left out act as a spring in series with a stop (see
             `vibrojax.model.residual_shapes`).
@@ -97,6 +100,8 @@ class MatrixSystem(AbstractSystem):
     drive: AbstractDrive
     input_map: Float[Array, " coordinates"]
     response_map: Float[Array, " coordinates"]
+    load: Float[Array, " coordinates"] | None
+    free_modes: int = eqx.field(static=True)
     num_modes: int | None = eqx.field(static=True)
     static_correction: bool = eqx.field(static=True)
     proportional: bool = eqx.field(static=True)
@@ -112,6 +117,8 @@ class MatrixSystem(AbstractSystem):
         stop_map: Matrix | None = None,
         drive: AbstractDrive | None = None,
         input_map: Matrix | None = None,
+        load: Matrix | None = None,
+        free_modes: int = 0,
         num_modes: int | None = None,
         static_correction: bool = False,
         proportional: bool | None = None,
@@ -120,27 +127,30 @@ class MatrixSystem(AbstractSystem):
         self.drive = NoDrive() if drive is None else drive
         check_stops_and_drive(self.stops, self.drive)
         check_without_places("a MatrixSystem", self.stops, "Its row of stop_map says where it is.")
-        self.mass = _dense("mass", mass)
+        self.mass = dense("mass", mass)
         n = self.mass.shape[0] if self.mass.ndim else 0
-        _check_array("mass", self.mass, (n, n), "a square matrix")
-        self.damping = _dense("damping", damping)
-        self.stiffness = _dense("stiffness", stiffness)
+        check_array("mass", self.mass, (n, n), "a square matrix")
+        self.damping = dense("damping", damping)
+        self.stiffness = dense("stiffness", stiffness)
         for name in ("damping", "stiffness"):
-            _check_array(name, getattr(self, name), (n, n), "of the shape of mass")
+            check_array(name, getattr(self, name), (n, n), "of the shape of mass")
         for name in ("mass", "damping", "stiffness"):
-            _check_symmetric(name, getattr(self, name))
-        _check_definite("mass", self.mass, "Condense coordinates without mass.")
-        _check_definite("stiffness", self.stiffness, "Hold the body: it can move without force.")
+            check_symmetric(name, getattr(self, name))
+        check_definite("mass", self.mass, "Condense coordinates without mass.")
+        check_count("free_modes", free_modes, least=0, most=n)
+        self.free_modes = free_modes
+        advice = "Hold the body, or say by free_modes in how many ways it moves without force."
+        check_definite("stiffness", self._held()[0], advice)
 
         self.response_map = jnp.asarray(response_map, float)
-        _check_array("response_map", self.response_map, (n,), "one number per coordinate")
+        check_array("response_map", self.response_map, (n,), "one number per coordinate")
         if stop_map is None and self.stops:
             raise ValueError(
                 f"stop_map must be given with stops: shape ({len(self.stops)}, {n}), the "
                 "displacement of each contact point towards its stop by coordinate."
             )
         self.stop_map = jnp.asarray(jnp.zeros((0, n)) if stop_map is None else stop_map, float)
-        _check_array(
+        check_array(
             "stop_map", self.stop_map, (len(self.stops), n), "one row per stop, by coordinate"
         )
         if input_map is None and not isinstance(self.drive, NoDrive):
@@ -149,7 +159,12 @@ class MatrixSystem(AbstractSystem):
                 "unit input. It is M times the influence vector for a BaseMotion."
             )
         self.input_map = jnp.asarray(jnp.zeros(n) if input_map is None else input_map, float)
-        _check_array("input_map", self.input_map, (n,), "one number per coordinate")
+        check_array("input_map", self.input_map, (n,), "one number per coordinate")
+        self.load = None if load is None else jnp.asarray(load, float)
+        if self.load is not None:
+            check_array("load", self.load, (n,), "one number per coordinate")
+        if free_modes and static_correction:
+            raise ValueError("static_correction must be False for a free body, got True.")
         if num_modes is not None:
             check_count("num_modes", num_modes, most=1000)
             if num_modes > n:
@@ -164,7 +179,7 @@ class MatrixSystem(AbstractSystem):
         """Say whether only the diagonal of the modal damping is kept, from concrete matrices."""
         if proportional is False:
             return False
-        matrices = [concrete(a) for a in (self.mass, self.damping, self.stiffness)]
+        matrices = [concrete(a) for a in (self.mass, self.damping, self._held()[0])]
         if any(matrix is None for matrix in matrices):
             return bool(proportional)
         mass, damping, stiffness = matrices
@@ -186,6 +201,14 @@ class MatrixSystem(AbstractSystem):
                 "it out to have it decided (proportional=None in dataclasses.replace)."
             )
         return not couples
+
+    def _held(self) -> tuple[Float[Array, "coordinates coordinates"], Float[Array, ""]]:
+        """Stiffness that is definite, and the eigenvalue (1/s2) that was added to that end."""
+        if not self.free_modes:
+            return self.stiffness, jnp.zeros(())
+        scale = jnp.trace(self.stiffness) / jnp.trace(self.mass)
+        added = lax.stop_gradient(jnp.where(scale > 0, 1e-4 * scale, 1.0))
+        return self.stiffness + added * self.mass, added
 
     @property
     def _is_corrected(self) -> bool:
@@ -221,7 +244,8 @@ class MatrixSystem(AbstractSystem):
         """
         # The factor of K rather than that of M: so the lowest modes are the accurate ones, by a
         # factor of 100 in frequency for 50 beam elements, more for finer meshes.
-        lower = jnp.linalg.cholesky(self.stiffness)
+        stiffness, added = self._held()
+        lower = jnp.linalg.cholesky(stiffness)
         half = solve_triangular(lower, self.mass, lower=True)
         flexibility, vectors = jnp.linalg.eigh(solve_triangular(lower, half.T, lower=True))
         flexibility = flexibility[::-1][: self.num_modes]
@@ -231,7 +255,12 @@ class MatrixSystem(AbstractSystem):
         # Not the largest entry: symmetric bodies have several, of opposite signs.
         first = jnp.argmax(size > 0.3 * jnp.max(size, axis=0), axis=0)
         sign = jnp.sign(jnp.take_along_axis(shapes, first[None], axis=0))
-        kept = MatrixModes(1 / jnp.sqrt(flexibility), shapes * sign)
+        square = 1 / flexibility - added
+        if free := min(self.free_modes, len(square)):
+            square = jnp.maximum(square.at[:free].set(0.0), 0.0)
+        frequency = jnp.concatenate([square[:free], jnp.sqrt(square[free:])])
+        # Modes of mass 1 of the held body are those of the free one.
+        kept = MatrixModes(frequency, shapes * sign)
         if not self._is_corrected:
             return kept
         half = solve_triangular(lower, self.stop_map.T, lower=True)
@@ -248,8 +277,10 @@ class MatrixSystem(AbstractSystem):
             jnp.concatenate([kept.shapes, rest @ shares], axis=1),
         )
 
-    def flexibility_left_out(self) -> list[float]:
-        """Static flexibility at each stop that the modes kept lack, m/N."""
+    def flexibility_left_out(self) -> list[float] | None:
+        """Static flexibility at each stop that the modes kept lack, m/N; None of a free body."""
+        if self.free_modes:
+            return None
         frequency, shapes = self.modes()
         static = jnp.linalg.solve(self.stiffness, self.stop_map.T)
         kept = jnp.sum((self.stop_map @ shapes / frequency) ** 2, axis=1)
@@ -272,6 +303,8 @@ class MatrixSystem(AbstractSystem):
         Raises `RuntimeError` when the damping couples modes though the system is `proportional`.
         """
         frequency, shapes = self.modes()
+        if self.free_modes:
+            frequency = self._with_unit(frequency, shapes)
         modal = shapes.T @ self.damping @ shapes
         diagonal = jnp.diagonal(modal)
         coupling = None
@@ -287,6 +320,7 @@ class MatrixSystem(AbstractSystem):
             coupling = modal - jnp.diag(diagonal)
         towards = jnp.asarray([float(stop.side) for stop in self.stops])
         stop_map = towards[:, None] * (self.stop_map @ shapes)
+        sign = jnp.where(np.arange(len(frequency)) < self.free_modes, 0.0, 1.0)
         return LinearEquations(
             stops=self.stops,
             angular_frequency=frequency,
@@ -297,21 +331,23 @@ class MatrixSystem(AbstractSystem):
             response_map=self.response_map @ shapes,
             modal_mass=jnp.ones_like(frequency),
             damping_coupling=coupling,
+            stiffness_sign=sign if self.free_modes else None,
+            free=self.free_modes > 0,
+            load=None if self.load is None else shapes.T @ self.load,
         )
 
-
-def _dense(name: str, given: Any) -> Array:
-    """Return a matrix as an array. Raises `ValueError` for a large sparse one, or none."""
-    if hasattr(given, "toarray"):
-        if max(given.shape) > MOST:
-            raise ValueError(
-                f"{name} must have at most {MOST} coordinates if it is sparse, got "
-                f"{max(given.shape)}. Reduce the model first, by vibrojax.model.reduce."
-            )
-        given = given.toarray()
-    if not ARRAY.accepts(given):
-        refuse_kind(name, given, ARRAY)
-    return jnp.asarray(given, float)
+    def _with_unit(self, frequency: Array, shapes: Array) -> Float[Array, " modes"]:
+        """Give free modes a frequency to count time in: that of the next mode, or of contact."""
+        if len(frequency) > self.free_modes:
+            unit = frequency[self.free_modes]
+        else:
+            square = [
+                contact_slope(stop) * jnp.sum((row @ shapes) ** 2)
+                for stop, row in zip(self.stops, self.stop_map, strict=True)
+            ]
+            hardest = jnp.max(jnp.stack(square)) if square else jnp.zeros(())
+            unit = jnp.sqrt(jnp.where(hardest > 0, hardest, 1.0))
+        return frequency.at[: self.free_modes].set(lax.stop_gradient(unit))
 
 
 def _negligible(matrix: Array) -> float:
@@ -326,46 +362,3 @@ def _coupling(numpy: Any, modal: Any) -> Any:
     away = numpy.abs(modal - numpy.diag(numpy.diagonal(modal)))
     # Entries that are 0 couple nothing, also between modes without damping.
     return numpy.max(numpy.where(away > 0, away / numpy.where(size > 0, size, 1e-300), 0.0))
-
-
-def _check_array(name: str, array: Array, shape: tuple[int, ...], meaning: str) -> None:
-    if array.shape != shape or 0 in shape[-1:]:
-        raise ValueError(
-            f"{name} must be {meaning}, shape {shape}, got an array of shape {array.shape}."
-        )
-    values = concrete(array)
-    if values is not None and not np.isfinite(values).all():
-        at = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        raise ValueError(f"{name} must be finite, got {values[at]} at index {at}.")
-
-
-def _check_symmetric(name: str, matrix: Array) -> None:
-    values = concrete(matrix)
-    if values is None:
-        return
-    away = np.abs(values - values.T)
-    if away.max() > float(jnp.finfo(matrix.dtype).eps) ** 0.5 * np.abs(values).max():
-        i, j = sorted(int(k) for k in np.unravel_index(away.argmax(), away.shape))
-        raise ValueError(
-            f"{name} must be symmetric, got {values[i, j]:.6g} at index ({i}, {j}) and "
-            f"{values[j, i]:.6g} at ({j}, {i})."
-        )
-
-
-def _check_definite(name: str, matrix: Array, advice: str) -> None:
-    values = concrete(matrix)
-    if values is None:
-        return
-    diagonal = np.diagonal(values)
-    if (diagonal <= 0).any():
-        i = int(np.argmin(diagonal))
-        found = f"{diagonal[i]:.6g} at index ({i}, {i})"
-    else:
-        # Scaled to a unit diagonal, so that the units of the coordinates do not matter.
-        root = np.sqrt(diagonal)
-        scaled = values / root[:, None] / root
-        lowest = np.linalg.eigvalsh((scaled + scaled.T) / 2)[0]
-        if lowest > len(root) * float(jnp.finfo(matrix.dtype).eps):
-            return
-        found = f"{lowest:.2g} as lowest eigenvalue (of the matrix with its diagonal scaled to 1)"
-    raise ValueError(f"{name} must be positive definite, got {found}. {advice}")

@@ -4,13 +4,20 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
-from vibrojax._tools.checks import check_not_negative, check_positive, number_field
+from vibrojax._tools.checks import (
+    check_not_negative,
+    check_positive,
+    check_range,
+    number_field,
+)
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive, NoDrive, PointForce
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.states import Displacement, check_coordinates
+from vibrojax.model.stop_forces import contact_slope
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import AbstractSystem, as_stops, check_without_places
 
@@ -21,7 +28,9 @@ Number = float | Float[Array, "..."]
 class Oscillator(AbstractSystem):
     """A mass on a spring and a damper: an impact oscillator, or a stop that gives way (`Joined`).
 
-    Its one coordinate is its displacement x, m, relative to the base: m x'' + c x' + k x = drive.
+    Its one coordinate is its displacement x, m, relative to the base: m x'' + c x' + k x = force +
+    drive. Without a spring it is a free body: a cart on a rail, a ball that falls. Then histories
+    are exact; steady motions hold it by a spring so soft that they are wrong by some 1e-6.
 
     Raises `ValueError` for a mass or stiffness not above 0, a negative damping, stops and drive
     that are none, or a stop with a position.
@@ -29,26 +38,31 @@ class Oscillator(AbstractSystem):
 
     mass: Number = number_field("kg")
     """Mass m, kg."""
-    stiffness: Number = number_field("N/m")
-    """Stiffness k of its spring, N/m."""
+    stiffness: Number | None = number_field("N/m", default=None)
+    """Stiffness k of its spring, N/m; None: no spring."""
     damping: Number = number_field("N s/m", default=0.0)
     """Damping c, N s/m."""
     stops: tuple[Stop, ...] = eqx.field(converter=as_stops, default=())
     """One or several stops, on either side, with position None."""
     drive: AbstractDrive = eqx.field(default_factory=NoDrive)
     """Base motion, a force on the mass (`PointForce`, its position is not used) or none."""
+    force: Number = number_field("N", default=0.0)
+    """Force that stays the same, towards +x, N: gravity, a preload."""
 
     def __check_init__(self) -> None:
         """Refuse concrete values that are not an oscillator."""
         check_positive("mass", self.mass, "kg")
-        check_positive("stiffness", self.stiffness, "N/m")
+        if self.stiffness is not None:
+            check_positive("stiffness", self.stiffness, "N/m", "Leave it out for a free body.")
+        check_range("force", self.force, allowed="a finite force in N")
         check_not_negative("damping", self.damping, "N s/m")
         check_without_places("an Oscillator", self.stops, "There is one place, the mass.")
 
     def equations(self) -> LinearEquations:
         """Return the equation of the mass as one mode."""
         mass, one = jnp.asarray(self.mass, float), jnp.ones(1)
-        root = jnp.sqrt(jnp.asarray(self.stiffness) * mass)
+        stiffness = self._unit_stiffness() if self.stiffness is None else self.stiffness
+        root = jnp.sqrt(jnp.asarray(stiffness) * mass)
         stop_map = jnp.asarray([float(stop.side) for stop in self.stops]).reshape(-1, 1)
         return LinearEquations(
             stops=self.stops,
@@ -59,7 +73,16 @@ class Oscillator(AbstractSystem):
             force_map=stop_map.T / mass,
             response_map=one,
             modal_mass=mass * one,
+            stiffness_sign=0 * one if self.stiffness is None else None,
+            free=self.stiffness is None,
+            load=self.force / mass * one,
         )
+
+    def _unit_stiffness(self) -> Float[Array, ""]:
+        """Stiffness in whose natural frequency the time of a free body is counted, N/m."""
+        slopes = [contact_slope(stop) for stop in self.stops]
+        hardest = jnp.max(jnp.stack(slopes)) if slopes else jnp.zeros(())
+        return lax.stop_gradient(jnp.where(hardest > 0, hardest, 1.0))
 
     def with_stops(
         self, stops: tuple[Stop, ...], stop_map: Float[Array, "stops coordinates"] | None = None

@@ -166,6 +166,6 @@ class MaxwellChain(AbstractRelaxingLaw):
         """Return the law with all stiffnesses times factor^2 and all times over `factor`."""
         return MaxwellChain(
             self.stiffness * factor**2,
-            [k * factor**2 for k in self.maxwell_stiffness],
-            [time / factor for time in self.relaxation_time],
+            tuple(k * factor**2 for k in self.maxwell_stiffness),
+            tuple(time / factor for time in self.relaxation_time),
         )

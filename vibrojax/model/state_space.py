@@ -16,6 +16,7 @@ from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive, NoDrive
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.internal_states import InternalStates
+from vibrojax.model.matrix_checks import check_array
 from vibrojax.model.states import Displacement, check_coordinates
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import AbstractSystem, as_stops, check_stops_and_drive
@@ -103,7 +104,7 @@ class StateSpace(AbstractSystem):
             "input_map": (n,),
         }
         for name, shape in shapes.items():
-            _check_array(name, getattr(self, name), shape)
+            check_array(name, getattr(self, name), shape, "by state")
         _check_stable(self.flow)
         self.independent = self._independent()
 
@@ -252,15 +253,6 @@ def _natural(flow: Float[Array, "n n"]) -> Float[Array, ""]:
     turns = jnp.abs(values.imag) > SAME * size
     lowest = jnp.min(jnp.where(turns, size, jnp.inf))
     return jnp.where(jnp.isfinite(lowest), lowest, jnp.min(size))
-
-
-def _check_array(name: str, array: Array, shape: tuple[int, ...]) -> None:
-    if array.shape != shape or (0 in shape[:1] and name == "flow"):
-        raise ValueError(f"{name} must have the shape {shape}, got {array.shape}.")
-    values = concrete(array)
-    if values is not None and not np.isfinite(values).all():
-        at = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        raise ValueError(f"{name} must be finite, got {values[at]} at index {at}.")
 
 
 def _check_stable(flow: Array) -> None:

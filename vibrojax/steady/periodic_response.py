@@ -88,7 +88,7 @@ def periodic_response(
     shot = linear is None or remembers
     if linear is not None and method is None:
         # About a position that the body falls away from there is no steady response to start from.
-        shot = shot or linear.stiffness_sign is not None
+        shot = shot or (linear.stiffness_sign is not None and not linear.free)
     if isinstance(method, HarmonicBalance):
         check_balance(equations.stops)
     if isinstance(method, Shooting) or shot:

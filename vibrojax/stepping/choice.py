@@ -19,7 +19,7 @@ def _stops(system: AbstractSystem) -> tuple[Stop, ...]:
 def is_exact(system: AbstractSystem) -> bool:
     """Return whether flight and contact of the system can be propagated exactly."""
     linear = equation_kinds(system).linear_between_contacts
-    if linear is None or linear.stiffness_sign is not None:
+    if linear is None or (linear.stiffness_sign is not None and not linear.free):
         # What falls away ends at rest on its stops, where landings come too thick.
         return False
     stops = _stops(system)

@@ -20,6 +20,10 @@ from vibrojax.stepping.resonance import NEAR, is_resonant
 
 Lanes = Float[Array, "*lanes"]
 
+HELD = 1e-8
+"""Stiffness that holds a free body, over the square of its unit of frequency: two equal eigenvalues
+would have one eigenvector. It bends a flight of ten units of time by 1e-6 of its length; histories
+are marched without (`input_phases`), and only read between samples by these phases."""
 MAX_STOPS = 4
 """More stops than this make too many phases (2 to their number) to tabulate."""
 
@@ -122,6 +126,9 @@ def contact_phases(equations: LinearEquations) -> ContactPhases:
     unit, scale, states = equations.angular_frequency[0], form.scale, len(form.scale)
     blocks, dtype = states // 2, form.flow.dtype
     flow = form.flow * scale / scale[:, None] / unit
+    if equations.free:
+        held = HELD * (equations.stiffness_sign == 0)
+        flow = flow.at[equations.size : 2 * equations.size, : equations.size].add(-jnp.diag(held))
     pushes = form.push / scale[:, None] / unit
     held = form.stiffness[:, None] * form.depth + form.damping[:, None] * form.rate
 

@@ -103,4 +103,4 @@ def march_on_grid(
         )
     else:
         found = march_unequal(phases, carried, values, knots, reverse=reverse)[grid.kept]
-    return found[:, : phases.states] * phases.scale
+    return found[:, : phases.scale.shape[0]] * phases.scale
