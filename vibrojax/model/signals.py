@@ -108,7 +108,8 @@ class Sampled(AbstractSignal):
         last = self.values.shape[0] - 1
         place = (time - self.time[0]) / (self.time[-1] - self.time[0]) * last
         place = jnp.clip(place, 0.0, last)
-        before = jnp.minimum(place.astype(int), last - 1)
+        # Computed once: rounded one way here and another there, it would miss by a whole sample.
+        before = jax.lax.optimization_barrier(jnp.minimum(place.astype(int), last - 1))
         low, high = self.values[before], self.values[before + 1]
         return low + (place - before) * (high - low)
 
