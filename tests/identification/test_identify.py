@@ -431,7 +431,7 @@ def test_a_history_under_a_measured_drive():
     )
     found = vj.identify(vj.default_rig, measured, {"stiffness": 4500.0, "gap": 4.5e-4})
     for name, true in (("stiffness", 5500.0), ("gap", 4e-4)):
-        low, high = found.intervals[name]
+        low, high = found.interval[name]
         assert low < true < high
         assert high - low < 0.1 * true
-    assert found.chi_square / (600 - 2) == pytest.approx(1.0, abs=0.2)
+    assert found.reduced_chi_square == pytest.approx(1.0, abs=0.2)

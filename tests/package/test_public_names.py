@@ -185,6 +185,7 @@ COMMAND_ONLY = {
 def test_options_of_commands_are_named_as_arguments():
     python = {
         "sweep": arguments(vj.frequency_sweep, vj.SweepSettings),
+        "simulate": arguments(vj.simulate, vj.io.read_drive, vj.history.History.plot) | {"drive"},
         "map": arguments(vj.parameter_map, vj.SweepSettings),
         "modes": arguments(vj.modes),
         "fit": arguments(vj.identify, vj.io.read_measured_curve),

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
@@ -163,7 +163,7 @@ def _driven_states(rig: Rig, plan: Plan, times: Float[Array, " samples"]):
     return states[jnp.searchsorted(knots, times)]
 
 
-def _states(rig: Rig, exact: bool, state, times: Float[Array, " samples"], begun=0.0):
+def _states(rig: Rig, exact: bool, state, times: Float[Array, " samples"], begun: ArrayLike = 0.0):
     """States (samples, states) at rising times (s), from when the state is given."""
     motion = _motion(rig)
 

@@ -53,7 +53,10 @@ class AbstractSignal(AbstractWaveform):
         """Angular frequency by which steps are chosen where a system has no modes, rad/s."""
 
     def phase(self, time: Values) -> tuple[Values, Values, Values]:
-        """Raise `ValueError`: there is none."""
+        """Raise `ValueError`: there is none, at no `time` (s).
+
+        Raises `ValueError`.
+        """
         kind = type(self).__name__
         raise ValueError(
             f"A {kind} has no drive phase. Give a Harmonic or a Chirp, or read what needs no phase."

@@ -108,6 +108,10 @@ class Sampled(AbstractSignal):
         last = self.values.shape[0] - 1
         place = (time - self.time[0]) / (self.time[-1] - self.time[0]) * last
         place = jnp.clip(place, 0.0, last)
+        # At a sample to rounding it is that sample: XLA may round the index of one term one way and
+        # that of another the other way, which would miss by all of an interval.
+        nearest = jax.lax.stop_gradient(jnp.round(place))
+        place = jnp.where(jnp.abs(place - nearest) < 4e-15 * last, nearest, place)
         before = jnp.minimum(place.astype(int), last - 1)
         low, high = self.values[before], self.values[before + 1]
         return low + (place - before) * (high - low)
