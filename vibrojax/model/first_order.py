@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
+from jax.scipy.linalg import block_diag
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax.model.equations import LinearEquations
@@ -128,12 +128,11 @@ def structure(equations: LinearEquations) -> tuple[Array, Array, Array, Array, A
         push = jnp.concatenate([push, own.from_force])
         theirs = float(own.reports)
         response = jnp.concatenate([(1 - theirs) * response, theirs * own.response])
-    more = 2 * n + equations.memory_size - len(input_)
-    # What idles decays, at a rate as good as any.
-    flow = jnp.pad(flow, (0, more)) - jnp.diag(
-        jnp.where(np.arange(len(flow) + more) < len(flow), 0.0, equations.angular_frequency[0])
-    )
-    behind = (0, more)
-    depth = jnp.pad(depth, ((0, 0), (0, len(flow) - depth.shape[1])))
-    push = jnp.pad(push, (behind, (0, 0)))
-    return flow, jnp.pad(input_, behind), push, depth, jnp.pad(response, behind)
+        depth = jnp.pad(depth, ((0, 0), (0, own.size)))
+    if more := 2 * n + equations.memory_size - len(input_):
+        # Memories are filled in by who knows the laws; what idles decays, at any rate.
+        idle = jnp.diag(jnp.full(more, -equations.angular_frequency[0]))
+        flow, behind = block_diag(flow, idle), (0, more)
+        push, depth = jnp.pad(push, (behind, (0, 0))), jnp.pad(depth, ((0, 0), behind))
+        input_, response = jnp.pad(input_, behind), jnp.pad(response, behind)
+    return flow, input_, push, depth, response
