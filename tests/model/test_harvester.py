@@ -34,7 +34,7 @@ def harvester(resistance=1e4, *, gap=None, coupling=1.0, connection="series", mo
 
 
 def closed_form(w, resistance, connection="series", modes=3, impedance=None):
-    """Voltage (complex, V) by Erturk and Inman 2009, with the circuit of its table 1."""
+    """Voltage (complex, V) by Erturk and Inman 2009, and its equivalent circuits."""
     n = NUMBERS
     hs, hp, b, length = (
         n[k] for k in ("substrate_thickness", "layer_thickness", "width", "length")

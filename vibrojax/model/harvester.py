@@ -148,7 +148,7 @@ class Harvester(AbstractSystem):
         """Return the load, ohm, that takes most power at a `frequency` (Hz), without stops.
 
         That is 1 over the size of the admittance of the layers and the beam behind them, from the
-        short circuit of the source (Erturk and Inman 2009, single mode: eq. 36). An inductance is
+        short circuit of the source (Erturk and Inman 2008, 2009). An inductance is
         left out.
         """
         w = 2 * np.pi * jnp.asarray(frequency)

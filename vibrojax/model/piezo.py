@@ -70,7 +70,7 @@ def bimorph(
         beam, layers = vj.model.bimorph(length=50.8e-3, width=31.8e-3, ...)
 
     The beam is the one of equal bending stiffness, mass and thickness. Source: Erturk and Inman
-    2009, eqs. 1 to 24 and table 1.
+    2009, series and parallel connection.
 
     Parameters:
         length: m.

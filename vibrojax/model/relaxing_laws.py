@@ -131,7 +131,7 @@ class MaxwellChain(AbstractRelaxingLaw):
 
     F = stiffness d + sum of k_j (d - z_j) with z_j' = (d - z_j)/time_j (generalised Maxwell model,
     Prony series). One element makes it a `StandardLinearSolid`. Source: Findley, Lai and Onaran,
-    Creep and Relaxation (1976), sec. 5.6.
+    Creep and Relaxation (1976), ch. 5.
 
     Raises `ValueError` for a negative stiffness, a relaxation time that is not above 0, no
     elements, or as many stiffnesses as there are not times.
