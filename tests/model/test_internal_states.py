@@ -158,6 +158,12 @@ def as_state_space(rig, mix=None):
     )
 
 
+def test_a_state_space_may_have_no_stops():
+    alone = vj.StateSpace([[0.0, 1.0], [-4.0, -0.4]], response_map=[1.0, 0.0])
+    assert alone.equations().size == 1
+    assert alone.equations().angular_frequency[0] == pytest.approx(2.0)
+
+
 MIX = np.random.default_rng(0).normal(size=(4, 4)) * np.array([1.0, 1.0, 60.0, 60.0])[:, None]
 
 
@@ -195,12 +201,40 @@ def test_modes_that_neither_stop_nor_response_see_are_internal_states():
     )
 
 
+def filtered(stiffness, cutoff):
+    """A mass that hits a stop, and a filter of first order behind its force sensor."""
+    wall = vj.Stop(None, 1e-3, vj.KelvinVoigt(2e4, 5.0))
+    return vj.StateSpace(
+        [[0.0, 1.0, 0.0], [-stiffness, -4.0, 0.0], [0.0, cutoff, -cutoff]],
+        response_map=[1.0, 0.0, 0.0],
+        stops=wall,
+        stop_map=[[1.0, 0.0, 0.0]],
+        force_map=[[0.0], [1.0], [0.0]],
+        drive=vj.PointForce(1.0),
+        input_map=[0.0, 1.0, 0.0],
+    )
+
+
+@pytest.mark.slow
+def test_numbers_of_a_state_space_are_axes_and_have_derivatives():
+    maps = vj.parameter_map(
+        filtered, stiffness=[900.0, 1600.0], cutoff=[30.0], frequency=np.linspace(4.0, 8.0, 9)
+    )
+    assert int((maps["contact_force"] > 0).sum()) > 3
+
+    def rms(stiffness):
+        return vj.periodic_response(filtered(stiffness, 30.0), frequency=5.0).rms_ratio
+
+    slope = (rms(900.09) - rms(899.91)) / 0.18
+    assert float(jax.grad(rms)(900.0)) == pytest.approx(float(slope), rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
         ({"flow": np.eye(4)}, "flow must be stable, its eigenvalues left"),
-        ({"flow": np.zeros((4, 3))}, r"flow must have the shape \(4, 4\), got \(4, 3\)"),
-        ({"response_map": [1.0, 0, 0]}, r"response_map must have the shape \(4,\), got \(3,\)"),
+        ({"flow": np.zeros((4, 3))}, r"flow must be a square matrix, shape \(4, 4\)"),
+        ({"response_map": [1.0, 0, 0]}, r"response_map must be one number per state, shape \(4,\)"),
         ({"stop_map": np.eye(4)[2:3]}, r"stop_map\[0\] must be a displacement, which no force"),
         ({"response_map": np.zeros(4)}, "response_map must read some state, got zeros"),
         ({"input_map": None}, "input_map must be given, with stops or a drive"),

@@ -97,42 +97,47 @@ class StateSpace(AbstractSystem):
         self.force_map = jnp.asarray(jnp.zeros((n, 0)) if force_map is None else force_map, float)
         self.input_map = jnp.asarray(jnp.zeros(n) if input_map is None else input_map, float)
         shapes = {
-            "flow": (n, n),
-            "response_map": (n,),
-            "stop_map": (count, n),
-            "force_map": (n, count),
-            "input_map": (n,),
+            "flow": ((n, n), "a square matrix"),
+            "response_map": ((n,), "one number per state"),
+            "stop_map": ((count, n), "one row per stop, by state"),
+            "force_map": ((n, count), "one column per stop, by state"),
+            "input_map": ((n,), "one number per state"),
         }
-        for name, shape in shapes.items():
-            check_array(name, getattr(self, name), shape, "by state")
+        if not count:
+            del shapes["force_map"]
+        for name, expected in shapes.items():
+            check_array(name, getattr(self, name), *expected)
         _check_stable(self.flow)
-        self.independent = self._independent()
+        # As they were given: what JAX is tracing it makes of constants, too.
+        given = [] if stop_map is None else [stop_map]
+        self.independent = self._independent(_known([*given, [response_map]]))
 
-    def _independent(self) -> tuple[int, ...]:
-        """Choose the coordinates, from concrete maps, and check that they are displacements."""
-        rows, flow, inputs = (concrete(a) for a in (self._rows(), self.flow, self._inputs()))
-        if rows is None or flow is None or inputs is None:
-            raise ValueError(
-                "flow and the maps of a StateSpace decide its structure: make it outside of jit, "
-                "vmap and grad, and put other numbers in with equinox.tree_at."
-            )
-        scale = np.diagonal(scipy.linalg.matrix_balance(flow, permute=False)[1])
-        rows, flow, inputs = rows * scale, flow * scale / scale[:, None], inputs / scale[:, None]
+    def _independent(self, rows: np.ndarray | None) -> tuple[int, ...]:
+        """Choose the coordinates: which rows are displacements of their own.
+
+        Rows that JAX is tracing are taken to be so, all of them.
+        """
         names = [f"stop_map[{s}]" for s in range(len(self.stops))] + ["response_map"]
+        if rows is None:
+            return tuple(range(len(names)))
         kept: list[int] = []
         for k, name in enumerate(names):
-            row = rows[k]
-            size = np.linalg.norm(row)
-            if size == 0:
+            if not rows[k].any():
                 raise ValueError(f"{name} must read some state, got zeros.")
-            reach = size * np.linalg.norm(inputs, axis=0)
+            if not _spans(rows[kept], rows[k]):
+                kept.append(k)
+        flow, inputs = concrete(self.flow), concrete(self._inputs())
+        if flow is None or inputs is None:
+            return tuple(kept)
+        scale = np.diagonal(scipy.linalg.matrix_balance(flow, permute=False)[1])
+        rows, flow, inputs = rows * scale, flow * scale / scale[:, None], inputs / scale[:, None]
+        for name, row in zip(names, rows, strict=True):
+            reach = np.linalg.norm(row) * np.linalg.norm(inputs, axis=0)
             if (np.abs(row @ inputs) > SAME * np.where(reach > 0, reach, 1.0)).any():
                 raise ValueError(
                     f"{name} must be a displacement, which no force changes at once, but "
                     f"{name} @ input_map or @ force_map is not 0. Is it a velocity?"
                 )
-            if not _spans(rows[kept], row):
-                kept.append(k)
         chosen = rows[kept] / np.linalg.norm(rows[kept], axis=1)[:, None]
         moves = chosen @ flow
         both = np.concatenate([chosen, moves / np.linalg.norm(moves, axis=1)[:, None]])
@@ -223,6 +228,14 @@ class StateSpace(AbstractSystem):
         """
         _, back, _ = self._new_states()
         return jnp.asarray(state)[..., : len(back)] @ back.T
+
+
+def _known(rows: list[Any]) -> np.ndarray | None:
+    """Rows one below the other as numbers; None where JAX is tracing some."""
+    try:
+        return np.concatenate([np.asarray(row, float) for row in rows])
+    except TypeError:
+        return None
 
 
 def _spans(rows: np.ndarray, row: np.ndarray) -> bool:
