@@ -87,9 +87,9 @@ def linear(coarse: bool) -> dict:
         power = np.abs(closed_form(system, frequencies)) ** 2 / 2 / load
         left.semilogy(frequencies, 1e3 * power, color=f"C{k}", label=label)
         left.plot(grid, 1e3 * sweep.mean_power[0], ".", color=f"C{k}", markersize=4)
-    left.set(xlabel="Drive frequency (Hz)", ylabel="Mean power (mW)")
+    left.set(xlabel="Drive frequency (Hz)", ylabel="Mean power (mW)", ylim=(1e-5, None))
     left.set_title("Lines: closed form, dots: sweeps")
-    left.legend(fontsize=8, title="Load")
+    left.legend(fontsize=8, title="Load", loc="lower center", ncols=2)
     some, loads = make(with_stop=False), np.geomspace(1e3, 1e6, 400)
     short = float(some.rig.modes().frequency[0])
     far = make(resistance=1e9, with_stop=False)

@@ -88,6 +88,15 @@ def check_own_system(names):
     assert (names["curve"].contact_force > 0).any()
     assert names["steady"].stable
     assert float(names["steady"].amplitude_ratio) > 0
+    assert 0.5 < float(names["rolled"].contacts().restitution[0]) < 0.95  # rubber
+    assert 0.1 < float(names["x"][:, 2].max()) < 2.0  # N: the filter lets less through
+
+
+def check_harvesters(names):
+    power = names["power"].sel(direction="forward").max("frequency")
+    assert (power.sel(gap=0.4e-3) > power.sel(gap=5e-3)).all()
+    assert names["voltage"].max() > 1.0  # V
+    assert len(names["history"].contacts()) > 2
 
 
 def check_regimes(names):
@@ -103,6 +112,7 @@ CHECKS = {
     "docs/how_to/contact_laws.md": check_laws,
     "docs/how_to/histories.md": check_histories,
     "docs/how_to/own_system.md": check_own_system,
+    "docs/how_to/harvesters.md": check_harvesters,
     "docs/how_to/regimes.md": check_regimes,
 }
 
