@@ -6,7 +6,7 @@ QUANTITIES = {
     "peak_to_peak": "max - min",
     "rms": "root mean square",
     "first_harmonic": "amplitude of the first harmonic",
-    "mean": "mean",
+    "mean": "over a period",
 }
 OF_POWER = ("mean", "peak")
 """What of a power can be measured; all but the mean of other signals."""
@@ -24,10 +24,11 @@ ELECTRIC = ("voltage", "power")
 
 def check_signal(signal: str, quantity: str, frame: str) -> None:
     """Raise `ValueError` for a quantity or a frame that a signal has not."""
-    if (quantity not in OF_POWER) if signal == "power" else quantity == "mean":
+    only = OF_POWER if signal == "power" else [q for q in QUANTITIES if q != "mean"]
+    if quantity not in only:
         raise ValueError(
-            f"quantity must be {' or '.join(OF_POWER)} of a power, and not mean of another signal, "
-            f"got {quantity!r} of a {signal}."
+            f"quantity must be one of {', '.join(map(repr, only))} for a {signal}, got "
+            f"{quantity!r}."
         )
     if signal in ELECTRIC and frame != "relative":
         raise ValueError(f"frame is of motions, got {frame!r} of a {signal}. Leave it out.")
