@@ -18,6 +18,7 @@ WORDS = {
     "peak_to_peak": "peak to peak",
     "rms": "root mean square",
     "first_harmonic": "first harmonic",
+    "mean": "mean",
 }
 
 

@@ -29,6 +29,7 @@ from vibrojax.model.drives import BaseMotion, NoDrive
 from vibrojax.model.systems import AbstractSystem, equation_kinds
 from vibrojax.steady.batches import filled_up
 from vibrojax.stepping.choice import is_exact
+from vibrojax.stepping.contact_phases import MAX_STOPS
 
 WIDTH = 4
 """Lanes that are computed together, filled up where there are fewer: one kernel for all numbers."""
@@ -346,10 +347,11 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
         raise ValueError(
             f"{kind} is not linear but for its stops: histories of such a system are not fitted."
         )
-    if getattr(equation_kinds(system), "memory_size", 0):
+    exact = is_exact(system)
+    if getattr(equation_kinds(system), "memory_size", 0) and not exact:
         raise ValueError(
-            f"{kind} has a stop whose law has an internal state: histories of such a system are "
-            "not fitted."
+            f"{kind} has internal states, and its contact is not exact: histories of such a system "
+            f"are not fitted. Give it at most {MAX_STOPS} stops, linear in contact, unsmoothed."
         )
     beam = system.reported_place is not None
     if history.position is not None and not beam:
@@ -386,5 +388,5 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
         is_ratio=history.frequency is None,
         driven=driven,
         aligned=history.align_phase,
-        exact=is_exact(system),
+        exact=exact,
     )

@@ -65,7 +65,7 @@ class Rig(eqx.Module):
     sensor: Float[Array, "*lanes coordinates"]
     """Displacement at the sensor, by coordinate."""
     start: Float[Array, "*lanes states"]
-    """(q, q') at rest or at release."""
+    """(q, q', internal states) at rest or at release."""
     record: Float[Array, "*lanes 2 samples"]
     """Times (s) and values of a drive as measured; without samples where there is none."""
     weight: Float[Array, "*lanes states"]
@@ -82,6 +82,7 @@ class Passed(NamedTuple):
     end: Float[AnyArray, "lanes states"]
     """State after the period of the motion."""
     derivative: Float[AnyArray, "lanes size directions"]
+    end_derivative: Float[AnyArray, "lanes states directions"]
 
 
 def rig_of(system: Any, plan: Plan, frequency, release, record) -> Rig:
@@ -99,7 +100,7 @@ def rig_of(system: Any, plan: Plan, frequency, release, record) -> Rig:
         phases=contact_phases(equations) if plan.exact else None,
         angular_frequency=frequency * unit,
         sensor=sensor,
-        start=jnp.concatenate([start, q]),
+        start=jnp.concatenate([start, q, jnp.zeros(equations.memory_size)]),
         record=record,
         weight=equations.energy_weight,
     )
@@ -113,7 +114,7 @@ def _motion(rig: Rig) -> Motion:
 
 
 def _advance(motion: Motion, exact: bool, start, duration, state):
-    """State (q, q') of one lane after a duration (s)."""
+    """State of one lane after a duration (s)."""
     method = stepper(exact)
     if not isinstance(method, ExponentialSplitting):
         return method.advance(motion, start, duration, state, None)
@@ -185,7 +186,8 @@ def _signals(rig: Rig, plan: Plan, times, states) -> Float[Array, "channels samp
     w, measured = rig.angular_frequency, plan.begins == "signal"
 
     def read(time, state):
-        q, v = jnp.split(state, 2)
+        q, v, memory = equations.split(state)
+        held = (memory,) if equations.memory_size else ()
         angle = w * time
         shown = []
         for name in plan.channels:
@@ -195,11 +197,11 @@ def _signals(rig: Rig, plan: Plan, times, states) -> Float[Array, "channels samp
                 shown.append(rig.sensor @ v + base * w * jnp.cos(angle))
             elif name == "acceleration":
                 push = rig.drive.input(motion.waveform, time)
-                a = rig.sensor @ equations.acceleration(q, v, push)
+                a = rig.sensor @ equations.acceleration(q, v, push, *held)
                 of_base = -push * moving if measured else -base * w**2 * jnp.sin(angle)
                 shown.append(a + of_base)
             else:
-                shown.append(jnp.sum(equations.contact_forces(q, v)))
+                shown.append(jnp.sum(equations.contact_forces(q, v, *held)))
         return jnp.stack(shown)
 
     return jax.vmap(read)(times, states).T
@@ -298,9 +300,9 @@ def pass_through(rigs: Rig, slopes: Rig, plan: Plan, time, state, shift, period)
             unit[:, numbers],
             unit[:, numbers + 1 :] if settled else jnp.zeros((rows, state.size)),
         )
-        (values, end), (derivative, _) = jax.vmap(
+        (values, end), slopes_of = jax.vmap(
             lambda t: jax.jvp(model, (rig, shift, state), t), out_axes=(None, -1)
         )(tangents)
-        return Passed(values, end, derivative)
+        return Passed(values, end, *slopes_of)
 
     return jax.vmap(one)(rigs, slopes, time, state, shift, period)

@@ -17,9 +17,12 @@ from vibrojax.identification.history_misfit import HistoryMisfit
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory
+from vibrojax.measured.kinds import ELECTRIC, SIGNALS
 from vibrojax.measured.reading import read_measured_curve
 from vibrojax.model.systems import AbstractSystem
 
+REPORTED = {"V": "voltage", "W^0.5": "power"}
+"""Signal of a response, by the unit of what is reported; of other units it is a motion."""
 OBJECTIVES = ("distance", "pointwise", "folds")
 Measurement = MeasuredCurve | MeasuredHistory
 
@@ -158,6 +161,7 @@ class Problem:
         if isinstance(same[0], MeasuredHistory):
             return HistoryMisfit(maker, same)
         check_drive(sample)
+        _check_signal(sample, same[0])
         pointwise = self.objective != "distance"
         misfit = (FoldMisfit if self.objective == "folds" else CurveMisfit)(maker, same, pointwise)
         paths = misfit.lanes(np.array([[guess[i] for i in self.unknowns[k].values()]])).made
@@ -244,6 +248,22 @@ class Problem:
                     "identified from it. Drive harder, close the gap, or measure nearer to "
                     "resonance."
                 )
+
+
+def _check_signal(system: AbstractSystem, measured: MeasuredCurve) -> None:
+    """Refuse a signal that is not what the system reports."""
+    if measured.amplitude is None:
+        return
+    reported = REPORTED.get(system.drive.reference[1])
+    if reported is None and measured.signal in ELECTRIC:
+        # What the response_map of other systems reads is known to their owner alone.
+        reported = "displacement" if system.reported_place is not None else measured.signal
+    if reported is not None and measured.signal != reported:
+        raise ValueError(
+            f"signal = {measured.signal!r} was measured, but the {type(system).__name__} reports "
+            f"its {reported}. Give the curve in {SIGNALS[reported]}, or let the system report what "
+            "was measured (report= of a Harvester)."
+        )
 
 
 def _check_overlap(misfit: CurveMisfit, natural: np.ndarray) -> None:

@@ -11,7 +11,7 @@ from vibrojax.steady.condensed import Problem, cell_average, differentiate
 from vibrojax.steady.paths import Place
 from vibrojax.stepping.cubic import cubic_maximum
 
-ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2}
+ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2, "voltage": 0, "power": 0}
 FINER = 2
 """How many times finer than the balance a waveform is looked at."""
 
@@ -20,12 +20,13 @@ class Sensor(eqx.Module):
     """What is measured of a periodic motion; all of it decided before anything compiles."""
 
     quantity: str | None = eqx.field(static=True, default="amplitude")
-    """`amplitude` (half of peak to peak), `peak`, `peak_to_peak`, `rms` or `first_harmonic`.
+    """`amplitude` (half of peak to peak), `peak`, `peak_to_peak`, `rms`, `first_harmonic` or, of a
+    power, `mean`.
 
     None where only the contact force is measured.
     """
     signal: str = eqx.field(static=True, default="displacement")
-    """`displacement`, `velocity` or `acceleration`."""
+    """`displacement`, `velocity`, `acceleration`, `voltage`, or `power`, whose root is reported."""
     is_ratio: bool = eqx.field(static=True, default=True)
     """Divided by the drive amplitude; else in SI units."""
     absolute: bool = eqx.field(static=True, default=False)
@@ -72,15 +73,16 @@ def _shown(sensor: Sensor, place: Place, spectrum: Complex[Array, " harmonics"])
         return 2 / samples * jnp.abs(spectrum[1])
     # The highest harmonic has no phase at the samples: it is left out.
     finer, spectrum = FINER * samples, FINER * spectrum.at[-1].set(0.0)
-    if sensor.quantity == "rms":
-        return jnp.sqrt(jnp.mean(jnp.fft.irfft(spectrum, finer) ** 2))
+    if sensor.quantity in ("rms", "mean"):
+        square = jnp.mean(jnp.fft.irfft(spectrum, finer) ** 2)
+        return square if sensor.quantity == "mean" else jnp.sqrt(square)
     slope = 1j * np.arange(spectrum.size) * (2 * np.pi / finer) * spectrum
     wave, change = jnp.fft.irfft(jnp.stack([spectrum, slope]), finer)
     both, slopes = jnp.stack([wave, -wave]), jnp.stack([change, -change])
     ahead = jnp.roll(both, -1, axis=1), jnp.roll(slopes, -1, axis=1)
     high, low = jnp.max(cubic_maximum(both, slopes, *ahead), axis=1)
     if sensor.quantity == "peak":
-        return jnp.maximum(high, low)
+        return jnp.maximum(high, low) ** (2 if sensor.signal == "power" else 1)
     return (high + low) / (1.0 if sensor.quantity == "peak_to_peak" else 2.0)
 
 

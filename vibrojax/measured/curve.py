@@ -11,6 +11,7 @@ from vibrojax._tools.checks import check_choice
 from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.measured.cells import channel, real_channel
+from vibrojax.measured.kinds import ELECTRIC, FRAMES, QUANTITIES, SIGNALS, check_signal
 from vibrojax.measured.scatter import (
     ASSUMED_LEVEL,
     FEWEST_POINTS,
@@ -19,15 +20,6 @@ from vibrojax.measured.scatter import (
     spread,
 )
 
-QUANTITIES = {
-    "amplitude": "(max - min)/2",
-    "peak": "max |y|",
-    "peak_to_peak": "max - min",
-    "rms": "root mean square",
-    "first_harmonic": "amplitude of the first harmonic",
-}
-SIGNALS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
-FRAMES = ("relative", "absolute")
 FREQUENCY_NAMES = ("frequency_ratio", "frequency")
 DIRECTIONS = {1: "forward", -1: "backward", 0: "unknown direction"}
 
@@ -93,7 +85,7 @@ class MeasuredCurve:
     frequency_name: str
     """`frequency_ratio`, or `frequency` in Hz."""
     amplitude: np.ndarray | None = None
-    """Response, at least 0: over the drive amplitude, or in m, m/s or m/s2; None: not measured.
+    """Response, at least 0: over the drive amplitude, or in the unit of `signal`; None: none.
 
     A complex one, as in a measured response function, becomes its magnitude and the `phase`."""
     amplitude_deviation: np.ndarray | None = None
@@ -105,12 +97,13 @@ class MeasuredCurve:
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     """1 in a sweep of rising frequency, -1 of falling, 0 not known (when left out)."""
     quantity: str = ""
-    """What of the signal: amplitude ((max - min)/2), peak, peak_to_peak, rms, first_harmonic; left
-    out: first_harmonic of complex amplitudes, else amplitude."""
+    """What of the signal: amplitude ((max - min)/2), peak, peak_to_peak, rms, first_harmonic; of a
+    power mean or peak. Left out: first_harmonic of complex amplitudes, mean of a power, else
+    amplitude."""
     signal: str = "displacement"
-    """`displacement`, `velocity` or `acceleration`."""
+    """`displacement` (m), `velocity` (m/s), `acceleration` (m/s2), `voltage` (V), `power` (W)."""
     is_ratio: bool = True
-    """True: displacement over the drive amplitude; False: m, m/s or m/s2."""
+    """True: displacement over the drive amplitude; False: in the unit of the signal."""
     frame: str = "relative"
     """`relative` to the moving base, or `absolute`, as an accelerometer on the beam measures."""
     parameters: dict[str, float] = field(default_factory=dict)
@@ -133,11 +126,12 @@ class MeasuredCurve:
         check_choice("quantity", self.quantity, tuple(QUANTITIES))
         check_choice("signal", self.signal, tuple(SIGNALS))
         check_choice("frame", self.frame, FRAMES)
+        check_signal(self.signal, self.quantity, self.frame)
         if self.is_ratio and self.signal != "displacement":
             raise ValueError(
                 f"is_ratio must be False for a signal of {self.signal!r}: only displacements are "
-                f"taken over the drive amplitude. Multiply by the amplitude of the drive's "
-                f"{self.signal} and give {SIGNALS[self.signal]}."
+                f"taken over the drive amplitude. Multiply by what it was divided by and give "
+                f"{SIGNALS[self.signal]}."
             )
         object.__setattr__(self, "frequency", real_channel("frequency", self.frequency))
         size = len(self.frequency)
@@ -173,7 +167,8 @@ class MeasuredCurve:
         """Put magnitude and phase in place of a complex amplitude."""
         given = None if self.amplitude is None else channel("amplitude", self.amplitude)
         if given is None or not np.iscomplexobj(given):
-            object.__setattr__(self, "quantity", self.quantity or "amplitude")
+            usual = "mean" if self.signal == "power" else "amplitude"
+            object.__setattr__(self, "quantity", self.quantity or usual)
             return
         quantity = self.quantity or "first_harmonic"
         if self.phase is not None:
@@ -343,9 +338,10 @@ class MeasuredCurve:
         ]
         if self.amplitude is not None:
             unit = "over drive amplitude" if self.is_ratio else self.unit
-            frame = "relative to the base" if self.frame == "relative" else "absolute"
+            frame = ", relative to the base" if self.frame == "relative" else ", absolute"
+            frame = "" if self.signal in ELECTRIC else frame
             lines.append(
-                f"  {self.signal}, {self.quantity} {QUANTITIES[self.quantity]}, {unit}, "
+                f"  {self.signal}, {self.quantity} {QUANTITIES[self.quantity]}, {unit}"
                 f"{frame}: up to {np.max(self.amplitude):.5g}"
             )
         if self.phase is not None and not np.isnan(self.phase).all():

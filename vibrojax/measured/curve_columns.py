@@ -12,7 +12,7 @@ from vibrojax.measured.columns import (
     find_column,
     match_columns,
 )
-from vibrojax.measured.curve import FRAMES, QUANTITIES, SIGNALS
+from vibrojax.measured.kinds import FRAMES, QUANTITIES, SIGNALS
 from vibrojax.measured.tables import OWN, Table
 from vibrojax.measured.units import UNITS, split_header
 
@@ -20,12 +20,18 @@ _AMPLITUDE = (
     "(?:tip|beam|half|peaktopeak|pkpk|p2p|pp|peak|max|rms|firstharmonic|h1|amplitude|amp"
     "|displacement|disp|velocity|vel|acceleration|accel|acc|magnitude|mag)+"
 )
+_ELECTRIC = (
+    "(?:load|output|mean|average|avg|rms|half|peaktopeak|pkpk|p2p|pp|peak|max|amplitude|amp"
+    "|voltage|volts?|power)*(?:voltage|volts?|power)(?:mean|average|avg|rms|peak|max|amplitude|amp)*"
+)
+"""Of a harvester; read where no column has an amplitude of a motion."""
 _RESPONSE = f"(?:{_AMPLITUDE}|h|frf|x|y|response|receptance|compliance|mobility|accelerance|of)*"
 _DEVIATION = "(?:standarddeviation|stddeviation|stddev|deviation|sd|sigma|std|uncertainty|error)"
 PATTERNS = {
     "frequency": "(?:drive|driving|excitation)?(?:frequency|freq|f|hz|omega|rpm|ratio|r)",
     "amplitude": _AMPLITUDE,
-    "deviation": f"(?:{_AMPLITUDE})?{_DEVIATION}|{_DEVIATION}{_AMPLITUDE}",
+    "deviation": f"(?:{_AMPLITUDE}|{_ELECTRIC})?{_DEVIATION}"
+    f"|{_DEVIATION}(?:{_AMPLITUDE}|{_ELECTRIC})",
     "real": f"{_RESPONSE}(?:real|re)(?:part)?{_RESPONSE}",
     "imaginary": f"{_RESPONSE}(?:imaginary|imag|im)(?:part)?{_RESPONSE}",
     "phase": f"{_RESPONSE}(?:phase|phaseangle|arg){_RESPONSE}",
@@ -41,8 +47,15 @@ _QUANTITY_WORDS = {
     "rms": "rms",
     "firstharmonic|h1": "first_harmonic",
     "peak|max": "peak",
+    "mean|average|avg": "mean",
 }
-_SIGNAL_WORDS = {"disp": "displacement", "vel": "velocity", "acc": "acceleration"}
+_SIGNAL_WORDS = {
+    "disp": "displacement",
+    "vel": "velocity",
+    "acc": "acceleration",
+    "volt": "voltage",
+    "power": "power",
+}
 
 
 class CurveColumns:
@@ -82,9 +95,15 @@ class CurveColumns:
             columns["deviation"] = columns.pop("amplitude_deviation")
         self.own = set(OWN) <= set(table.columns)
         if self.own and "amplitude" not in columns:
-            columns["amplitude"] = f"{quantity or 'amplitude'}_ratio"
+            power = "mean_power" in table.columns
+            columns["amplitude"] = (
+                f"{quantity or 'mean'}_power" if power else f"{quantity or 'amplitude'}_ratio"
+            )
+        words = [split_header(name).words for name in table.columns]
+        moves = any(re.fullmatch(_AMPLITUDE, one) for one in words)
+        patterns = PATTERNS if moves else PATTERNS | {"amplitude": _ELECTRIC}
         self.columns = match_columns(
-            table, PATTERNS, columns, self.split.values(), ("real", "imaginary", "phase")
+            table, patterns, columns, self.split.values(), ("real", "imaginary", "phase")
         )
         self._find_response(columns)
         allowed = (*PATTERNS, *split)
@@ -237,7 +256,7 @@ class CurveColumns:
                     f"{SIGNALS[stated]}."
                 )
         self.signal = by_unit
-        fits = re.fullmatch(_AMPLITUDE, words)
+        fits = re.fullmatch(f"{_AMPLITUDE}|{_ELECTRIC}", words)
         named = [q for w, q in _QUANTITY_WORDS.items() if fits and re.search(w, words)]
         self.quantity = quantity or (named[0] if named else "")
         if frame is None and self.signal == "acceleration":

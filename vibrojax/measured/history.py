@@ -26,7 +26,8 @@ from vibrojax.measured.columns import (
     real_numbers,
     usable,
 )
-from vibrojax.measured.curve import FRAMES, check_parameters
+from vibrojax.measured.curve import check_parameters
+from vibrojax.measured.kinds import FRAMES
 from vibrojax.measured.scatter import (
     ASSUMED_LEVEL,
     FEWEST_POINTS,

@@ -190,9 +190,10 @@ class _Reader:
         found = numbers(self.table, column, "amplitude", trouble)
         if not np.iscomplexobj(found):
             if not self.own.quantity and "amp" not in split_header(column).words:
+                what = "means" if self.own.signal == "power" else "amplitudes, (max - min)/2"
                 self.notes.append(
-                    f"Column {column!r} was taken to be amplitudes, (max - min)/2: give quantity= "
-                    "if it is another quantity."
+                    f"Column {column!r} was taken to be {what}: give quantity= if it is another "
+                    "quantity."
                 )
         elif "phase" in self.own.columns:
             raise ValueError(

@@ -21,6 +21,8 @@ _FACTORS = {
     "velocity": {"m/s": 1.0, "mm/s": 1e-3},
     "acceleration": {"m/s2": 1.0, "g": 9.80665},
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "voltage": {"V": 1.0, "mV": 1e-3},
+    "power": {"W": 1.0, "mW": 1e-3, "uW": 1e-6},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "angle": {"rad": 1.0, "deg": np.pi / 180},
     "relative": {"relative": 1.0, "%": 1e-2},
@@ -43,6 +45,8 @@ _SPELLED = {
 _BY_SPELLING = {name.lower(): name for name in UNITS} | {
     spelling: name for name, spellings in _SPELLED.items() for spelling in spellings
 }
+_NO_SUFFIX = ("1", "-", "", "v", "w")
+"""What is no unit behind a name: v and w are displacements and velocities too."""
 _AS_SUFFIX = {name.lower() for name in UNITS if name not in ("relative", "%")} | {"m/s^2"}
 
 
@@ -51,7 +55,7 @@ def find_unit(text: str) -> str | None:
     plain = text.strip().replace("µ", "u").replace("μ", "u").replace("²", "2")
     if plain in UNITS:
         return plain
-    if plain[:1] == "M" and plain.lower() in ("mn", "ms", "mm/s", "mhz"):
+    if plain[:1] == "M" and plain.lower() in ("mn", "ms", "mm/s", "mhz", "mv", "mw"):
         return None  # mega, not milli
     return _BY_SPELLING.get(plain.lower())
 
@@ -100,4 +104,4 @@ def split_header(header: str) -> Header:
 
 def _is_suffix(text: str) -> bool:
     found = find_unit(text)
-    return found is not None and found.lower() in _AS_SUFFIX and text.strip() not in ("1", "-", "")
+    return found is not None and found.lower() in _AS_SUFFIX and text.strip() not in _NO_SUFFIX
