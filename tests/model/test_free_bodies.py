@@ -182,6 +182,103 @@ def test_derivatives_of_the_velocity_after_the_bounce(gradient):
     np.testing.assert_allclose(slopes[0], slopes[1], rtol=1e-8)
 
 
+STIFF, MASSES = np.array([[3e3, -1e3], [-1e3, 1e3]]), np.diag([0.5, 0.4])
+LOAD = np.array([0.0, 0.8])
+SAG = np.linalg.solve(STIFF, LOAD)
+"""Where the pair rests under the load, m."""
+
+
+def pair(gap=2e-3, load=None):
+    """Two masses on springs, shaken, the second in front of the stop."""
+    return vj.MatrixSystem(
+        MASSES,
+        1e-3 * STIFF,
+        STIFF,
+        stops=vj.Stop(None, gap, LAW),
+        stop_map=[[0.0, 1.0]],
+        response_map=[0.0, 1.0],
+        drive=vj.BaseMotion(2e-4),
+        input_map=np.diag(MASSES),
+        load=load,
+    )
+
+
+def loaded_and_moved():
+    """The pair under a load, and the same without it but with a gap that is as much smaller."""
+    return pair(load=LOAD), pair(2e-3 - SAG[1])
+
+
+METHODS = [None, pytest.param(vj.HarmonicBalance(), marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_load_moves_the_gap(method):
+    settings = vj.PeriodicSettings(method=method)
+    loaded, moved = (
+        vj.periodic_response(s, frequency_ratio=1.02, settings=settings) for s in loaded_and_moved()
+    )
+    assert loaded.contact_force > 0
+    for name in ("amplitude_ratio", "contact_force"):
+        np.testing.assert_allclose(getattr(loaded, name), getattr(moved, name), rtol=1e-8)
+
+
+def test_a_loaded_pair_moves_about_where_it_rests():
+    loaded, moved = loaded_and_moved()
+    given = {"frequency_ratio": 1.02, "periods": 3, "samples_per_period": 32}
+    still = vj.simulate(moved, **given)
+    found = vj.simulate(loaded, initial_state=loaded.state(displacement=SAG), **given)
+    assert len(found.contacts()) > 1
+    size = np.abs(still.displacement()).max()
+    away = found.displacement() - SAG[1] - still.displacement()
+    np.testing.assert_allclose(away, 0, atol=1e-9 * size)
+    np.testing.assert_allclose(contact_times(found), contact_times(still), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_gravity_of_a_beam_moves_the_gap():
+    beam = vj.Cantilever(0.2, 0.025, 1e-3, 130e9, 8250.0)
+
+    def rig(gap, gravity=None):
+        stop = vj.Stop(1.0, gap, vj.KelvinVoigt(5500.0, 0.5))
+        drive = vj.BaseMotion(2e-4)
+        return vj.ImpactingBeam(beam, stop, drive, 0.02, num_modes=3, gravity=gravity)
+
+    # Of a uniform cantilever under its weight, and what three modes have of it.
+    weight, flexural = 8250.0 * 0.025 * 1e-3 * GRAVITY, 130e9 * 0.025 * 1e-9 / 12
+    whole = weight * 0.2**4 / (8 * flexural)
+    equations = rig(1e-3, GRAVITY).equations()
+    sag = float(equations.stop_map[0] @ (equations.load / equations.angular_frequency**2))
+    np.testing.assert_allclose(sag, whole, rtol=1e-3)
+    for method in (None, vj.HarmonicBalance()):
+        settings = vj.PeriodicSettings(method=method)
+        loaded, moved = (
+            vj.periodic_response(one, frequency_ratio=1.02, settings=settings)
+            for one in (rig(1e-3 + sag, GRAVITY), rig(1e-3))
+        )
+        assert loaded.contact_force > 0
+        np.testing.assert_allclose(loaded.amplitude_ratio, moved.amplitude_ratio, rtol=1e-8)
+        np.testing.assert_allclose(loaded.contact_force, moved.contact_force, rtol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_sweep_of_a_bouncing_mass():
+    # On a soft stop it rests inside: linear, at the amplification of a mass on that spring.
+    weight, amplitude = MASS * GRAVITY, 1e-5
+    soft = ball(2e3, 5.0, force=weight, drive=vj.BaseMotion(amplitude))
+    sweep = vj.frequency_sweep(soft, frequency=[15.0, 18.0, 21.0])
+    rate = 2 * pi * np.array([15.0, 18.0, 21.0])
+    expected = np.abs(MASS * rate**2 / (2e3 - MASS * rate**2 + 5j * rate))
+    found = np.squeeze(sweep.amplitude_ratio)
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=1e-3)
+    # Shaken harder than it weighs it leaves the stop, and settles to a period all the same.
+    hard = ball(2e3, 5.0, force=weight, drive=vj.BaseMotion(1.5e-3))
+    response = vj.periodic_response(hard, frequency=18.0)
+    history = response.history(periods=1, samples_per_period=512)
+    assert float(np.min(history.displacement())) < GAP
+    assert response.contact_force > weight
+    np.testing.assert_allclose(np.sum(history.contacts().impulse) * 18.0, weight, rtol=1e-2)
+
+
 REFUSED = [
     (lambda: dumbbell(free_modes=0), "stiffness must be positive definite"),
     (lambda: dumbbell(free_modes=2), "free_modes must be"),
