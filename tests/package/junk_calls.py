@@ -69,6 +69,21 @@ SIZES = dict(length=0.2, width=0.02, thickness=1e-3, youngs_modulus=1e11, densit
 MEASURED = vj.io.MeasuredCurve(
     np.array([1.0, 1.1, 1.2]), "frequency_ratio", amplitude=np.array([1.0, 2.0, 3.0])
 )
+BIMORPH = dict(
+    length=0.05,
+    width=0.03,
+    substrate_thickness=1e-4,
+    layer_thickness=3e-4,
+    substrate_modulus=1e11,
+    layer_modulus=6e10,
+    substrate_density=9e3,
+    layer_density=8e3,
+    piezoelectric_constant=-16.6,
+    permittivity=1e-8,
+)
+CHAIN = vj.model.FiniteElements(
+    mass=np.eye(30), stiffness=2 * np.eye(30) - np.eye(30, k=1) - np.eye(30, k=-1)
+)
 FOLD = vj.branches.SpecialPoint("fold", 1.1, 2.0, 3.0, np.zeros(2), 0)
 TIME = np.linspace(0.0, 1.0, 50)
 TABLE = {"time [s]": TIME, "displacement [m]": np.sin(40 * TIME)}
@@ -119,6 +134,38 @@ CALLS = {
             drive=DRIVE,
             input_map=[1.0],
         ),
+    ),
+    "StateSpace": (
+        vj.StateSpace,
+        dict(
+            flow=[[0.0, 1.0], [-100.0, -1.0]],
+            response_map=[1.0, 0.0],
+            stops=vj.Stop(None, 1e-3, LAW),
+            stop_map=[[1.0, 0.0]],
+            force_map=[[0.0], [1.0]],
+            drive=DRIVE,
+            input_map=[0.0, 1.0],
+        ),
+    ),
+    "PiezoLayers": (vj.model.PiezoLayers, dict(moment_per_volt=1e-5, capacitance=1e-8)),
+    "bimorph": (vj.model.bimorph, BIMORPH),
+    "Harvester": (
+        vj.Harvester,
+        dict(rig=RIG, layers=vj.model.PiezoLayers(1e-5, 1e-8), resistance=1e4),
+    ),
+    "MaxwellChain": (
+        vj.model.MaxwellChain,
+        dict(stiffness=1e3, maxwell_stiffness=[1e3], relaxation_time=[1e-3]),
+    ),
+    "Sampled": (vj.Sampled, dict(time=[0.0, 1.0], values=[0.0, 1.0])),
+    "Tones": (vj.Tones, dict(frequencies=[1.0, 2.0])),
+    "FiniteElements": (
+        vj.model.FiniteElements,
+        dict(mass=np.eye(8), stiffness=np.diag(np.arange(1.0, 9.0)) ** 2),
+    ),
+    "reduce": (
+        vj.model.reduce,
+        dict(elements=CHAIN, highest_frequency=0.02, response_map=CHAIN.row(node=1)),
     ),
     "Oscillator": (vj.model.Oscillator, dict(mass=0.1, stiffness=20.0, drive=DRIVE)),
     "Joined": (
@@ -308,23 +355,29 @@ NUMBERS = words(
     "stiffness damping dissipation exponent maxwell_stiffness relaxation_time amplitude frequency "
     "start end duration damping_ratio tip_mass joint_damping bearing_damping gravity height "
     "distance base_amplitude limiter_height limiter_distance contact_stiffness contact_damping "
-    "joint_damping_time restitution speed"
+    "joint_damping_time restitution speed force moment_per_volt capacitance resistance inductance "
+    "substrate_thickness layer_thickness substrate_modulus layer_modulus substrate_density "
+    "layer_density piezoelectric_constant permittivity frequencies"
 )
 """What a system is made of: 0 may do, batches and traced values are legal."""
 FLAGS = words(
     "tension proportional lyapunov strobes is_ratio align_phase settled progress spectrum "
-    "distinguish_phases keep_curves dry_run skip_unusable"
+    "distinguish_phases keep_curves dry_run skip_unusable static_correction"
 )
 MAKERS = {n for n, (function, _) in CALLS.items() if inspect.isclass(function)}
-MAKERS |= {"default_rig", "default_pendulum"} | {n for n in CALLS if "from_restitution" in n}
-SIGNED = words("barrier release direction")
+MAKERS |= {"default_rig", "default_pendulum", "bimorph"}
+MAKERS |= {n for n in CALLS if "from_restitution" in n}
+SIGNED = words(
+    "barrier release direction gap gravity force moment_per_volt free_modes piezoelectric_constant"
+)
 LEGAL = {
     "None": words("position smoothing refine_jumps"),
     "0": words("seed transient derivative s gap stiffness measurement"),
     "-1": words("side"),
     "list of one": words(
         "frequency frequency_ratio contact_fraction response_map input_map gap stiffness release s "
-        "amplitude_deviation contact_force_deviation gap_ratios"
+        "amplitude_deviation contact_force_deviation gap_ratios load frequencies maxwell_stiffness "
+        "relaxation_time"
     ),
     "empty dict": words("deviation units bounds transforms columns parameters measures share_of"),
     "dict": words("parameters share_of"),

@@ -114,7 +114,7 @@ CALLS = {
         RIG, **AT, settings=vj.SweepSettings(tolerance=None)
     ),
     "guess must be a PeriodicResponse": lambda: vj.periodic_response(RIG, guess="x", **AT),
-    "LinearisedPendulum or MatrixSystem), got 'x'": lambda: vj.single_contact_response("x", **AT),
+    "MatrixSystem or StateSpace), got 'x'": lambda: vj.single_contact_response("x", **AT),
     "path must be a path, got None.": lambda: vj.io.read_rig(None),
     "store must be a path, got 3.": lambda: vj.parameter_map(own_rig, store=3, **AT),
     "measures must be": lambda: vj.parameter_map(own_rig, measures=3, **AT),

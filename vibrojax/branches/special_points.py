@@ -52,7 +52,7 @@ def doubling_test(
     multipliers: Complex[np.ndarray, "... states"],
 ) -> Float[np.ndarray, "..."]:
     """Zero where a multiplier is -1."""
-    return np.prod(1 + multipliers, axis=-1).real
+    return np.asarray(np.prod(1 + multipliers, axis=-1).real)
 
 
 def torus_test(multipliers: Complex[np.ndarray, "... states"]) -> Float[np.ndarray, "..."]:

@@ -13,8 +13,8 @@ from vibrojax.model.systems import Motion
 def engine_of(motion: Motion) -> ModuleType:
     """Return what has the `cells` and the `largest` value of a motion.
 
-    Raises `ValueError` for systems that are not linear but for their stops, and for damping that
-    couples the modes together with stops that are not linear in contact.
+    Raises `ValueError` for systems that are not linear but for their stops, and where stops are not
+    linear in contact for modes that damping couples, free bodies, and forces that stay the same.
     """
     linear = motion.equations.linear_between_contacts
     if linear is None:
@@ -30,10 +30,10 @@ def engine_of(motion: Motion) -> ModuleType:
         )
     if motion.prepared is not None:
         return exact_cells
-    if linear.damping_coupling is not None:
+    if not linear.is_modal:
         raise ValueError(
-            "The damping couples the modes and a stop is not linear in contact: for this the "
-            "motion between samples is not known. Use KelvinVoigt stops without smoothing, or "
-            "proportional damping."
+            "A stop is not linear in contact, and modes are coupled, a body is free or a force "
+            "stays the same: for this the motion between samples is not known. Use KelvinVoigt "
+            "stops without smoothing."
         )
     return finer_steps

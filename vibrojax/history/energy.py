@@ -40,7 +40,8 @@ class EnergyFlow:
     contact_loss: Float[np.ndarray, "samples stops"]
     """Lost in every stop since the start, J."""
     input_work: Float[np.ndarray, " samples"]
-    """Work of the drive since the start, J: of the force, or of the inertial force of the base."""
+    """Work of the drive since the start, J: of the force, or of the inertial force of the base, and
+    of forces that stay the same."""
 
     @property
     def share(self) -> Float[np.ndarray, "samples modes"]:
@@ -94,7 +95,7 @@ class EnergyFlow:
             "stop_energy": ("J", "Energy stored in the stops", over_stop),
             "beam_loss": ("J", "Cumulated loss by modal damping", over_mode),
             "contact_loss": ("J", "Cumulated loss in the stops", over_stop),
-            "input_work": ("J", "Cumulated work of the drive", over_time),
+            "input_work": ("J", "Cumulated work of drive and constant forces", over_time),
             "balance": ("1", "Energy unaccounted for, by the largest", over_time),
             "time": ("s", "Time", over_time),
         }

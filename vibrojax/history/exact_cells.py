@@ -84,6 +84,8 @@ def _measure_batch(
     drive = amplitude.real[:, None] * jnp.sin(angle) + amplitude.imag[:, None] * jnp.cos(angle)
     drive = drive + level[:, None] + slope[:, None] * time
     power = drive * jnp.tensordot(equations.modal_mass * equations.input_map, v, axes=1)
+    if equations.load is not None:
+        power = power + jnp.tensordot(equations.modal_mass * equations.load, v, axes=1)
 
     depth, depth_rate, acceleration = read_stops(phases, phase, blocks)
     held = touching_bits(phases, phase)[:, None, None]

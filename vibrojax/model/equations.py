@@ -334,7 +334,7 @@ class LinearEquations(AbstractEquations):
     def memory_of_stops(
         self, memory: Memories | None
     ) -> Float[Array, "stop_memories *lanes"] | None:
-        """Return the internal states that are those of the stops."""
+        """Return those of the internal states `memory` that are of the stops; None for None."""
         return None if memory is None else memory[self.internal_size :]
 
     def memory_rates(

@@ -13,6 +13,9 @@ from vibrojax._tools.signatures import refuse_kind
 MOST = 3000
 """Rows of a sparse matrix, up to which it is made dense: its eigenvalues take 10 s then."""
 
+NEXT = 1e-3
+"""Eigenvalue of a free body, by the lowest of its vibrations, above which it is none."""
+
 
 def dense(name: str, given: Any) -> Array:
     """Return a matrix as an array. Raises `ValueError` for a large sparse one, or none."""
@@ -72,3 +75,25 @@ def check_definite(name: str, matrix: Array, advice: str) -> None:
             return
         found = f"{lowest:.2g} as lowest eigenvalue (of the matrix with its diagonal scaled to 1)"
     raise ValueError(f"{name} must be positive definite, got {found}. {advice}")
+
+
+def check_free_modes(mass: Array, held: Array, added: Array, free_modes: int) -> None:
+    """Raise `ValueError` unless a concrete stiffness has so many eigenvalues 0.
+
+    It is given as `held`, that is with `added` (1/s2) times the mass.
+    """
+    matrices = concrete(mass), concrete(held), concrete(added)
+    if not free_modes or any(matrix is None for matrix in matrices):
+        return
+    from scipy.linalg import eigvalsh
+
+    # Of the inverse, lest round-off of the highest be larger than the lowest.
+    square = 1 / eigvalsh(*matrices[:2])[::-1] - matrices[2]
+    largest = abs(square[free_modes - 1])
+    next_one = square[free_modes] if free_modes < len(square) else matrices[2]
+    if largest >= NEXT * next_one:
+        shown = ", ".join(f"{value:.3g}" for value in square[: free_modes + 1])
+        raise ValueError(
+            f"free_modes must be the number of motions without force, got {free_modes}, while the "
+            f"lowest eigenvalues of stiffness over mass are {shown} 1/s2."
+        )

@@ -16,7 +16,13 @@ from vibrojax._tools.described import shown_value
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive, NoDrive
 from vibrojax.model.equations import LinearEquations
-from vibrojax.model.matrix_checks import check_array, check_definite, check_symmetric, dense
+from vibrojax.model.matrix_checks import (
+    check_array,
+    check_definite,
+    check_free_modes,
+    check_symmetric,
+    dense,
+)
 from vibrojax.model.residual_shapes import residual_modes
 from vibrojax.model.states import Displacement, check_coordinates
 from vibrojax.model.stop_forces import contact_slope
@@ -87,7 +93,8 @@ class MatrixSystem(AbstractSystem):
 
     Raises `ValueError` for matrices and maps of the wrong shape, that are not finite, not symmetric
     or not positive definite, a missing stop_map or input_map, a stop with a position, stops and
-    drive that are none, num_modes outside 1 to n, or proportional=True for damping that couples
+    drive that are none, num_modes outside 1 to n, free_modes that are not the number of
+    eigenvalues 0, or proportional=True for damping that couples
     modes. Damping that turns out to couple them only when the equations are computed raises a
     `RuntimeError` there.
     """
@@ -140,7 +147,9 @@ class MatrixSystem(AbstractSystem):
         check_count("free_modes", free_modes, least=0, most=n)
         self.free_modes = free_modes
         advice = "Hold the body, or say by free_modes in how many ways it moves without force."
-        check_definite("stiffness", self._held()[0], advice)
+        held, added = self._held()
+        check_definite("stiffness", held, advice)
+        check_free_modes(self.mass, held, added, free_modes)
 
         self.response_map = jnp.asarray(response_map, float)
         check_array("response_map", self.response_map, (n,), "one number per coordinate")

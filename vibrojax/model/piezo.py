@@ -94,9 +94,14 @@ def bimorph(
         ("width", width, "m"),
         ("substrate_thickness", substrate_thickness, "m"),
         ("layer_thickness", layer_thickness, "m"),
+        ("substrate_modulus", substrate_modulus, "Pa"),
+        ("layer_modulus", layer_modulus, "Pa"),
+        ("substrate_density", substrate_density, "kg/m3"),
+        ("layer_density", layer_density, "kg/m3"),
         ("permittivity", permittivity, "F/m"),
     ):
         check_positive(name, value, unit)
+    check_range("piezoelectric_constant", piezoelectric_constant, allowed="a finite number (C/m2)")
     half, whole = substrate_thickness / 2, substrate_thickness + 2 * layer_thickness
     outer = (half + layer_thickness) ** 3 - half**3
     bending = 2 * width / 3 * (substrate_modulus * half**3 + layer_modulus * outer)
