@@ -104,7 +104,7 @@ class StateSpace(AbstractSystem):
             "input_map": (n,),
         }
         for name, shape in shapes.items():
-            check_array(name, getattr(self, name), shape, "by state")
+            check_array(name, getattr(self, name), shape, "given by state")
         _check_stable(self.flow)
         self.independent = self._independent()
 
