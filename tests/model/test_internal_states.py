@@ -199,8 +199,14 @@ def test_modes_that_neither_stop_nor_response_see_are_internal_states():
     ("change", "sentence"),
     [
         ({"flow": np.eye(4)}, "flow must be stable, its eigenvalues left"),
-        ({"flow": np.zeros((4, 3))}, r"flow must be given by state, shape \(4, 4\), got .* \(4, 3\)"),
-        ({"response_map": [1.0, 0, 0]}, r"response_map must be given by state, shape \(4,\), got .* \(3,\)"),
+        (
+            {"flow": np.zeros((4, 3))},
+            r"flow must be given by state, shape \(4, 4\), got .* \(4, 3\)",
+        ),
+        (
+            {"response_map": [1.0, 0, 0]},
+            r"response_map must be given by state, shape \(4,\), got .* \(3,\)",
+        ),
         ({"stop_map": np.eye(4)[2:3]}, r"stop_map\[0\] must be a displacement, which no force"),
         ({"response_map": np.zeros(4)}, "response_map must read some state, got zeros"),
         ({"input_map": None}, "input_map must be given, with stops or a drive"),
