@@ -13,13 +13,21 @@ QUICK = {
     *("test_measured_curve", "test_measured_files", "test_measured_history"),
     *("test_measured_responses", "test_rig_file", "test_cli_fit", "test_interrupts"),
     *("test_tiers", "test_public_names", "test_documentation", "test_notebooks", "test_resolution"),
-    *("test_experiment_gandhi_vyas", "test_cli_cache"),
+    *("test_signals", "test_experiment_gandhi_vyas", "test_cli_cache"),
 }
 """Files whose tests, but for the slow ones, are run all the time: some of every room."""
 
 SLOW = {
     "test_continue_response": ("test_grazings_are_where_the_free_motion_fills_the_gap",),
     "test_energy_flow": ("test_a_release_closes_to_rounding",),
+    "test_free_bodies": (
+        "test_without_loss_a_ball_comes_back_to_where_it_fell_from",
+        "test_a_free_body_on_a_base_that_vibrates",
+        "test_two_masses_that_nothing_holds",
+        "test_two_free_bodies_that_meet",
+        "test_derivatives_of_the_velocity_after_the_bounce",
+        "test_a_loaded_pair_moves_about_where_it_rests",
+    ),
     "test_cli": ("test_sweep_of_the_default_rig",),
     "test_linearly_implicit": (
         "test_march_is_the_history_and_lanes_do_not_matter",

@@ -66,7 +66,7 @@ def on_circle(
 ) -> Bool[np.ndarray, "..."]:
     """Whether a complex pair is on the unit circle, near enough to be no real pair."""
     close = np.abs(np.abs(multipliers) - 1) < near
-    return np.any(close & (np.abs(np.imag(multipliers)) > turned), axis=-1)
+    return np.asarray(np.any(close & (np.abs(np.imag(multipliers)) > turned), axis=-1))
 
 
 class Bracket(NamedTuple):

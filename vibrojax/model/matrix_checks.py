@@ -82,15 +82,15 @@ def check_free_modes(mass: Array, held: Array, added: Array, free_modes: int) ->
 
     It is given as `held`, that is with `added` (1/s2) times the mass.
     """
-    matrices = concrete(mass), concrete(held), concrete(added)
-    if not free_modes or any(matrix is None for matrix in matrices):
+    inertia, stiffness, shift = concrete(mass), concrete(held), concrete(added)
+    if not free_modes or inertia is None or stiffness is None or shift is None:
         return
     from scipy.linalg import eigvalsh
 
     # Of the inverse, lest round-off of the highest be larger than the lowest.
-    square = 1 / eigvalsh(*matrices[:2])[::-1] - matrices[2]
+    square = 1 / eigvalsh(inertia, stiffness)[::-1] - shift
     largest = abs(square[free_modes - 1])
-    next_one = square[free_modes] if free_modes < len(square) else matrices[2]
+    next_one = square[free_modes] if free_modes < len(square) else shift
     if largest >= NEXT * next_one:
         shown = ", ".join(f"{value:.3g}" for value in square[: free_modes + 1])
         raise ValueError(
