@@ -35,7 +35,7 @@ PORTRAITS = {
     "V": ("Voltage (V)", "Rate (V/s)", 1.0),
     "W^0.5": ("Root of power (W^0.5)", "Rate (W^0.5/s)", 1.0),
 }
-"""Axes of the portrait and the factor of the first, by the unit that is reported; else of motions."""
+"""Axes of the portrait and the factor of the first, by the unit reported; else of motions."""
 
 
 class LivePicture:
