@@ -219,7 +219,7 @@ def masses(stiffness, gap, damping_ratio, damping):
 @pytest.mark.parametrize(
     ("make", "facts", "words"),
     [
-        (undriven, {"frequency": 10.0}, "no drive"),
+        (undriven, {"frequency": 10.0}, "the system has none"),
         (masses, {"frequency": 10.0, "position": 0.5}, "only a beam has positions"),
         (masses, {"release": 1e-3}, "release is for the tip"),
         (vj.default_rig, {"frequency": 10.0, "window": (0.2, 0.3)}, "window must be"),

@@ -146,7 +146,8 @@ class Explorer:
 
         tracer = self._tracer
         rows = 2 if self._measured else 1
-        picture = LivePicture((tracer.low, tracer.high), *self._labels, rows=rows)
+        unit = self.system().drive.reference[1]
+        picture = LivePicture((tracer.low, tracer.high), *self._labels, rows=rows, unit=unit)
         for one in self._measured:
             picture.lay_measured(one, tracer.force)
         picture.legend()

@@ -31,13 +31,23 @@ PLACES = 25
 BRANCH, ORBIT = COLORS["black"], COLORS["violet"]
 
 
+PORTRAITS = {
+    "V": ("Voltage (V)", "Rate (V/s)", 1.0),
+    "W^0.5": ("Root of power (W^0.5)", "Rate (W^0.5/s)", 1.0),
+}
+"""Axes of the portrait and the factor of the first, by the unit reported; else of motions."""
+
+
 class LivePicture:
     """A figure whose lines move. Pixels of the empty axes are kept between two drawings.
 
-    `x` is the range of the frequency, `rows` are those of the key.
+    `x` is the range of the frequency, `rows` are those of the key, `unit` is that of what is
+    reported.
     """
 
-    def __init__(self, x: tuple[float, float], x_label: str, y_label: str, rows: int = 1):
+    def __init__(
+        self, x: tuple[float, float], x_label: str, y_label: str, rows: int = 1, unit: str = "m"
+    ):
         self._rows, y_label = rows, balanced(y_label)
         self.figure = Figure(figsize=SIZE, dpi=DPI)
         self.canvas = FigureCanvasAgg(self.figure)
@@ -48,9 +58,11 @@ class LivePicture:
         self.response = self.figure.add_subplot(grid[:, 0])
         self.portrait = self.figure.add_subplot(grid[0, 1])
         self.force = self.figure.add_subplot(grid[1, 1])
+        motion = "Displacement (mm)", "Velocity (m/s)", 1e3
+        along, rate, self._factor = PORTRAITS.get(unit, motion)
         labels = (
             (self.response, x_label, y_label),
-            (self.portrait, "Displacement (mm)", "Velocity (m/s)"),
+            (self.portrait, along, rate),
             (self.force, "Time (drive periods)", "Contact force (N)"),
         )
         for axes, below, beside in labels:
@@ -137,7 +149,11 @@ class LivePicture:
         self._grow(self.response, y=(0.0, 1.02 * float(np.nanmax(curve.response))))
 
     def _hold_orbit(self, orbit: LiveOrbit) -> None:
-        x, y, force = 1e3 * orbit.displacement, orbit.velocity, orbit.contact_force.sum(axis=0)
+        x, y, force = (
+            self._factor * orbit.displacement,
+            orbit.velocity,
+            orbit.contact_force.sum(axis=0),
+        )
         self._grow(self.portrait, (x.min(), x.max()), (y.min(), y.max()))
         self._grow(self.force, y=(min(0.0, force.min()), force.max()))
 
@@ -183,7 +199,7 @@ class LivePicture:
                 self.lines[name].set_data([], [])
             return
         orbit = orbit_at(curve, at)
-        x, y = 1e3 * orbit.displacement, orbit.velocity
+        x, y = self._factor * orbit.displacement, orbit.velocity
         self.lines["orbit"].set_data([curve.frequency[at]], [curve.response[at]])
         self.lines["portrait"].set_data(x, y)
         self.lines["contact"].set_data(x, np.where(orbit.touching, y, np.nan))
