@@ -417,6 +417,7 @@ def test_uncertainty_of_a_straight_line():
     np.testing.assert_allclose(np.abs(moved[7]), np.abs(again) / deviation, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_history_under_a_measured_drive():
     noise = np.random.default_rng(3)

@@ -195,6 +195,8 @@ def test_modes_that_neither_stop_nor_response_see_are_internal_states():
     assert wanted.contact_force.max() > 0
     size = np.abs(wanted.displacement()).max()
     np.testing.assert_allclose(found.displacement(), wanted.displacement(), atol=1e-7 * size)
+    with pytest.raises(ValueError, match="does not say its masses"):
+        found.energy()
     back = system.states(found.states[-1])
     np.testing.assert_allclose(
         np.linalg.solve(mix, back), wanted.states[-1], atol=1e-7 * np.abs(wanted.states[-1]).max()

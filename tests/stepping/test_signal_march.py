@@ -80,7 +80,7 @@ def marched(request):
     equations = rig(request.param).equations().linear_between_contacts
     drive = vj.BaseMotion()
     phases = input_phases(equations, drive, vj.Sampled([0.0, 1.0], [0.0, 0.0]))
-    begun = phases.begin(jnp.zeros(phases.states), 0.0)
+    begun = phases.begin(jnp.zeros(phases.scale.shape[0]), 0.0)
 
     @jax.jit
     def go(inputs):
@@ -91,7 +91,7 @@ def marched(request):
 
 
 def states_of(phases, carried):
-    return np.asarray(carried)[:, : phases.states] * np.asarray(phases.scale)
+    return np.asarray(carried)[:, : phases.scale.shape[0]] * np.asarray(phases.scale)
 
 
 def error(found, expected):

@@ -130,6 +130,9 @@ class EnergyFlow:
 
 def energy_of(history: SampledMotion) -> EnergyFlow:
     """Follow the energy of a history; see `History.energy`."""
+    linear = history.motion.equations.linear_between_contacts
+    if linear is not None and linear.stiffness_coupling is not None:
+        raise ValueError("A StateSpace does not say its masses: its histories have no energies.")
     time, states = times_of(history, "energies"), np.asarray(history.states)
     engine, equations = engine_of(history.motion), history.motion.equations
     mass, stiffness = (np.asarray(getattr(equations, f"modal_{n}")) for n in ("mass", "stiffness"))
