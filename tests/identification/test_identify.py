@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import optax
 import pytest
+from scipy.signal import butter, sosfilt
 
 import vibrojax as vj
 from vibrojax.identification.coordinates import coordinate_of
@@ -421,8 +422,11 @@ def test_uncertainty_of_a_straight_line():
 @pytest.mark.long
 def test_a_history_under_a_measured_drive():
     noise = np.random.default_rng(3)
-    drive = vj.Sampled(1e-3 * np.arange(601), 0.5 * np.cumsum(noise.standard_normal(601)))
+    near = butter(2, [5.0, 15.0], "bandpass", fs=1000.0, output="sos")  # the first natural one
+    shaken = 20 * sosfilt(near, noise.standard_normal(601))
+    drive = vj.Sampled(1e-3 * np.arange(601), shaken)
     history = vj.simulate(vj.default_rig(), waveform=drive, gradient="forward")
+    assert len(history.contacts().touch) > 3
     tip = np.asarray(history.displacement())[1:] + 2e-5 * noise.standard_normal(600)
     measured = vj.io.MeasuredHistory(
         time=np.asarray(drive.time)[1:],
