@@ -117,6 +117,7 @@ def test_relaxation_from_a_history_is_as_far_off_as_its_intervals_say():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_relaxation_from_curves_at_two_drive_levels():
     rng, measured = np.random.default_rng(1), []
     ratio = np.linspace(0.9, 1.5, 25)

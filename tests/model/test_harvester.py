@@ -146,6 +146,7 @@ def by_scipy(system, state, ratio, modes):
     return integrate(rate, signal, state, end, inside=signal(state) > 0)
 
 
+@pytest.mark.slow
 def test_with_a_stop_the_motion_returns_as_scipy_integrates_it():
     system = harvester(3e4, gap=5e-6, modes=2)
     found = vj.periodic_response(system, frequency_ratio=1.05)

@@ -131,7 +131,8 @@ def in_units_of(reference, system, q):
     return np.asarray(q) * maps / np.abs(reference.shape)
 
 
-@pytest.mark.parametrize("second", ["mass", pytest.param("beam", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("second", ["mass", "beam"])
 def test_start_up_agrees_with_scipy(second):
     system, other = SYSTEMS[second](), reference(second)
     periods, ratio = 4, 0.98

@@ -54,6 +54,7 @@ def test_static_deflection_is_the_double_integral(taper):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_static_flexibility_of_a_beam_is_exact_and_shapes_are_orthogonal():
     system = beam(static_correction=True)
     places = [0.6, 0.6, 0.9]

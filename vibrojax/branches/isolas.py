@@ -7,6 +7,7 @@ same sheet of solutions, stable or not, where they pass the gaps that the rig ha
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import jax
 import numpy as np
@@ -150,7 +151,7 @@ def _passed(walk: Walk, start: OnCurve, way: float) -> Steps:
 
 def _solved(
     plan: Plan, rigs: CurveRigs, candidates: list[Candidate]
-) -> list[tuple[float, np.ndarray, dict[str, np.ndarray]]]:
+) -> list[tuple[float, np.ndarray, dict[str, Any]]]:
     """Solve for motions near candidates: their values, states, and what tells them apart."""
     if not candidates:
         return []

@@ -70,8 +70,9 @@ def _or_lost(
     start: Float[Array, "states *#lanes"],
 ) -> Float[Array, "states *#lanes"]:
     """States of lanes that arrived; of the others, also of those lost before, why they did not."""
-    given_up = jnp.all(jnp.isfinite(end), axis=0) | jnp.any(start == GIVEN_UP, axis=0)
-    return jnp.where(arrived, end, jnp.where(given_up, GIVEN_UP, jnp.nan))
+    before = jnp.any(start == GIVEN_UP, axis=0)
+    given_up = jnp.all(jnp.isfinite(end), axis=0) | before
+    return jnp.where(arrived & ~before, end, jnp.where(given_up, GIVEN_UP, jnp.nan))
 
 
 class ExactRun(AbstractRun):
