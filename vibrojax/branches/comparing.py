@@ -1,7 +1,7 @@
 """A sweep beside the branch of the same system, and isolas of it: which of its points are on it."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +20,7 @@ COMPARED = ("amplitude_ratio", "rms_ratio", "contact_force")
 
 
 def relative_difference(
-    passages: "xarray.Dataset", motions: Mapping[str, Float[np.ndarray, "..."]]
+    passages: "xarray.Dataset", motions: Mapping[str, Any]
 ) -> Float[np.ndarray, "..."]:
     """Largest relative difference of motions from passages of a branch, those along the last axis.
 
@@ -31,7 +31,7 @@ def relative_difference(
         own = motions[name]
         size = np.maximum(np.abs(own), np.max(np.abs(own), initial=0.0) * 1e-3)
         differences.append(np.abs(passages[name].values - own) / np.where(size, size, 1.0))
-    return np.maximum.reduce(differences)
+    return np.asarray(np.maximum.reduce(differences))
 
 
 def compare(branch: BranchPoints, sweep: FrequencyResponse) -> "xarray.Dataset":
