@@ -258,9 +258,10 @@ def test_gravity_of_a_beam_moves_the_gap():
             for one in (rig(1e-3 + sag, GRAVITY), rig(1e-3))
         )
         assert loaded.contact_force > 0
-        within = 2e-4  # to which extremes are read, the sag being part of the motion
+        # The corner that a balance rounds is as wide as the gap says.
+        within = 1e-8 if method is None else 2e-4
         np.testing.assert_allclose(loaded.amplitude_ratio, moved.amplitude_ratio, rtol=within)
-        np.testing.assert_allclose(loaded.contact_force, moved.contact_force, rtol=1e-8)
+        np.testing.assert_allclose(loaded.contact_force, moved.contact_force, rtol=within)
 
 
 @pytest.mark.slow
