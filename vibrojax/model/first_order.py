@@ -61,7 +61,7 @@ def first_order(equations: LinearEquations) -> FirstOrder:
     Of stops that are not linear in contact only the depth is right.
     """
     laws = [linear_contact(stop.law) or LinearContact(0.0, 0.0) for stop in equations.stops]
-    flow, input_, push, depth, response = structure(equations)
+    flow, input_, push, depth, response = _structure(equations)
     dtype, n = flow.dtype, equations.size
 
     def column(values: list[ArrayLike]) -> Float[Array, " stops"]:
@@ -102,7 +102,7 @@ def first_order(equations: LinearEquations) -> FirstOrder:
     )
 
 
-def structure(equations: LinearEquations) -> tuple[Array, Array, Array, Array, Array]:
+def _structure(equations: LinearEquations) -> tuple[Array, Array, Array, Array, Array]:
     """Return flow, input, push, depth and response of one lane, its stops left alone.
 
     Memories of stops are at rest; one state idles where the number of states would be odd.
