@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 import xarray
 
-from vibrojax.measured.history import MeasuredHistory, read_measured_history
+from vibrojax.measured.history import MeasuredHistory
+from vibrojax.measured.history_reading import read_measured_history
 
 TIME = np.linspace(0.0, 1.0, 401)
 SINE = 1e-3 * np.sin(2 * np.pi * 10 * TIME)

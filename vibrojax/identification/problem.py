@@ -12,7 +12,8 @@ from vibrojax.ensemble.arguments import arguments_of, numbers_apart
 from vibrojax.ensemble.frequencies import check_drive
 from vibrojax.ensemble.lanes import made_by
 from vibrojax.identification.coordinates import Coordinate, coordinate_of
-from vibrojax.identification.curve_misfit import CurveMisfit, FoldMisfit
+from vibrojax.identification.curve_misfit import CurveMisfit
+from vibrojax.identification.fold_misfit import FoldMisfit
 from vibrojax.identification.history_misfit import HistoryMisfit
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
