@@ -155,7 +155,7 @@ def test_windows_around_impacts():
         (dict(initial_velocity=1.0, offset=dict(velocity=0.1)), "offset: there is no channel"),
         (
             dict(initial_velocity=1.0, delay=dict(contact_force=np.nan)),
-            "delay of contact_force must be",
+            r"delay\[.contact_force.\] must be a finite",
         ),
         (dict(), "the initial_displacement .m. and initial_velocity"),
     ],
