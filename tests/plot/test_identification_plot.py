@@ -59,6 +59,7 @@ def fitted(measured=None, predictions=None, **changed):
         "repetition": 0,
         "frequency_scale": 1e-3,
         "point": np.zeros(2),
+        "call": {},
     }
     return Identification(**(fields | changed))
 

@@ -147,7 +147,10 @@ def identify(
     problem = Problem(make_system, data, coordinates, objective, held)
     fits = _Fits(problem, data, search or LevenbergMarquardt(), frequency_scales)
     fits.run(searches)
-    found = [fits.result(k, confidence) for k in range(len(data))]
+    call = {"guess": dict(guess), "bounds": bounds, "private": private, "objective": objective}
+    call |= {"search": search, "transforms": transforms, "searches": searches}
+    call |= {"frequency_scales": frequency_scales, "confidence": confidence, **numbers}
+    found = [fits.result(k, call) for k in range(len(data))]
     return found[0] if together else found
 
 
@@ -242,8 +245,9 @@ class _Fits:
         for k, point, size in zip(which, points, cost, strict=True):
             self.ended[k].append((point, float(size)))
 
-    def result(self, k: int, confidence: float) -> Identification:
-        """Judge the best minimum of a repetition."""
+    def result(self, k: int, call: dict[str, Any]) -> Identification:
+        """Judge the best minimum of a repetition; `call` is what `identify` was asked for."""
+        confidence: float = call["confidence"]
         problem, freedom, names = self.problem, self.degrees_of_freedom, self.problem.names
         point, _ = self._best(k)
         (residual,), (jacobian,) = problem.evaluate(
@@ -297,6 +301,7 @@ class _Fits:
             repetition=k,
             frequency_scale=self.last,
             point=point,
+            call=call,
         )
 
     def _alternatives(self, k: int, covariance: np.ndarray) -> tuple[Alternative, ...]:

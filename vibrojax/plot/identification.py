@@ -51,20 +51,28 @@ Line = list[tuple[float, str, dict[str, Any]]]
 """Of text: place (inches from the left), words and style of its parts."""
 
 
-def plot_identification(data: xarray.Dataset, estimates: xarray.Dataset, title: str) -> Figure:
-    """Draw one measurement and the fitted curve, the residuals below it, and the estimates."""
-    text = _written(estimates)
+def plot_identification(
+    data: xarray.Dataset, estimates: xarray.Dataset | None, title: str
+) -> Figure:
+    """Draw one measurement and the fitted curve, the residuals below it, and the estimates.
+
+    Without `estimates` there is no text below.
+    """
+    text = [] if estimates is None else _written(estimates)
     is_curve = "curve_frequency" in data
     names = _channels(data) if is_curve else list(dict.fromkeys(data["channel"].values.tolist()))
     heights = [3.6, *[2.6] * (len(names) - 1), 2.0]
     if not is_curve:
         heights = [2.0 if len(names) > 1 else 3.2] * len(names)
-    figure, (*panels, below) = new_panels([*heights, LINE * (len(text) + 3)])
-    panels[-1].tick_params(labelbottom=True)
-    below.set_axis_off()
+    if text:
+        figure, (*panels, below) = new_panels([*heights, LINE * (len(text) + 3)])
+        panels[-1].tick_params(labelbottom=True)
+        below.set_axis_off()
+        _write(below, text)
+    else:
+        figure, panels = new_panels(heights)
     (_curve if is_curve else _history)(panels, data, names)
     name_axes(panels[0], title=textwrap.shorten(title, 85, placeholder=" …"))
-    _write(below, text)
     return outside_legend(figure, above=True)
 
 

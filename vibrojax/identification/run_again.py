@@ -1,0 +1,143 @@
+"""The files that repeat a fit: a Python script, and the measurements as CSV."""
+
+import dataclasses
+import io
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+import pandas as pd
+
+from vibrojax._tools.described import in_short
+from vibrojax.identification.fit import Fit
+from vibrojax.identification.problem import Measurement
+from vibrojax.identification.rig_source import Source, is_default
+
+SCRIPT = "run_again.py"
+_PATH = "from pathlib import Path"
+_READ = '''HERE = Path(__file__).parent
+
+
+def table(name):
+    """Columns of a file, every digit of them."""
+    columns = pd.read_csv(HERE / name, float_precision="round_trip")
+    return {name: column.to_numpy() for name, column in columns.items()}'''
+
+
+class RunAgain(NamedTuple):
+    """What repeats a fit."""
+
+    files: dict[str, str]
+    """Text by name: `run_again.py`, then what it reads."""
+    missing: tuple[str, ...]
+    """Why the script does not run as it is, in sentences; empty where it was tried and does."""
+
+    def zipped(self) -> bytes:
+        """Return the files as a zip archive."""
+        content = io.BytesIO()
+        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, text in self.files.items():
+                archive.writestr(name, text)
+        return content.getvalue()
+
+
+def run_again(
+    fit: Fit, source: str | None = None, files: Mapping[str, str] | None = None
+) -> RunAgain:
+    """Write the files that repeat a fit.
+
+    `source` is Python text that defines `rig`, the function of the rig; None: it is read off the
+    function. `files` are those that it reads beside itself, by name. The text is run to see whether
+    it makes the rig that was fitted. Raises `ValueError` where a `source` that was given does not.
+    """
+    written, content = Source(), dict(files or {})
+    name = "rig" if source is not None else written.add_function(fit.problem.make)
+    rig = source.strip() if source is not None else written.text
+    if not written.missing:
+        parts = _imported(written), _READ, rig
+        wrong = _tried("\n\n".join(parts), name, content, fit)
+        if wrong and source is not None:
+            raise ValueError(f"source must make the rig that was fitted, as rig(...): {wrong}.")
+        if wrong:
+            written.lack(wrong)
+    measured = [_measurement(written, m, k, content) for k, m in enumerate(fit.measured, 1)]
+    arguments = [name, "measured"]
+    for argument, value in fit.call.items():
+        if (text := written.value(value)) is None:
+            written.lack(f"{argument} = {in_short(value)} cannot be written as text")
+        elif value is not None:
+            arguments.append(f"{argument}={text}")
+    script = [
+        f'"""Repeats a fit of vibrojax {version("vibrojax")} with the files beside it."""',
+        _imported(written),
+        _READ,
+        rig,
+        f"measured = {_listed(measured, '[]')}\n\nfit = vj.identify{_listed(arguments, '()')}",
+        'if __name__ == "__main__":\n    print(fit)\n',
+    ]
+    return RunAgain({SCRIPT: "\n\n\n".join(script)} | content, tuple(written.missing))
+
+
+def _imported(written: Source) -> str:
+    others = {"import pandas as pd", "import vibrojax as vj", *written.imports}
+    lines = sorted(others - {_PATH}, key=lambda line: line.split()[1])
+    return "\n".join([_PATH, "", *lines])
+
+
+def _listed(entries: Sequence[str], ends: str) -> str:
+    return f"{ends[0]}\n" + "".join(f"    {entry},\n" for entry in entries) + ends[1]
+
+
+def _measurement(written: Source, measured: Measurement, number: int, files: dict[str, str]) -> str:
+    """Write the columns of a measurement to files; returns the text that makes it of them."""
+    columns: dict[str, np.ndarray] = {}
+    facts = []
+    for field in dataclasses.fields(measured):
+        value = getattr(measured, field.name)
+        if value is None or is_default(value, field.default) or (isinstance(value, dict | tuple) and not value):
+            continue
+        if isinstance(value, np.ndarray) and value.shape == (measured.size,):
+            columns[field.name] = value
+        elif isinstance(value, eqx.Module):  # a drive on a clock of its own
+            name = f"measurement_{number}_{field.name}.csv"
+            parts = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init}
+            arrays = {n: np.asarray(v) for n, v in parts.items() if isinstance(v, jax.Array)}
+            files[name] = _csv(arrays)
+            kind = type(value)
+            written.imports[f"from {kind.__module__} import {kind.__name__}"] = None
+            facts.append(f'{field.name}={kind.__name__}(**table("{name}"))')
+        else:
+            facts.append(f"{field.name}={written.value(value)}")
+    name = f"measurement_{number}.csv"
+    files[name] = _csv(columns)
+    inside = ",\n        ".join([f'**table("{name}")', *facts])
+    return f"vj.io.{type(measured).__name__}(\n        {inside},\n    )"
+
+
+def _csv(columns: Mapping[str, np.ndarray]) -> str:
+    return pd.DataFrame(dict(columns)).to_csv(index=False)
+
+
+def _tried(text: str, name: str, files: Mapping[str, str], fit: Fit) -> str | None:
+    """Run the text of a rig; say what is wrong unless it makes the rig that was fitted."""
+    estimate = [*fit.estimate.values()]
+    numbers = fit.problem.arguments(estimate, 0, fit.measured[0])
+    with tempfile.TemporaryDirectory() as folder:
+        for file, content in files.items():
+            (Path(folder) / file).write_text(content)
+        names: dict[str, Any] = {"__file__": str(Path(folder) / SCRIPT), "__name__": "run_again"}
+        try:
+            exec(compile(text, SCRIPT, "exec"), names)
+            made = names[name](**numbers)
+        except Exception as error:  # whatever a function of the user's raises
+            return f"the text of the rig does not run, {type(error).__name__}: {error}"
+    found, wanted = (jax.tree.leaves(rig) for rig in (made, fit.system()))
+    if len(found) != len(wanted) or not all(map(np.array_equal, found, wanted)):
+        return "the text of the rig makes another rig than the one fitted"
+    return None
