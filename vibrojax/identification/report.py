@@ -56,7 +56,7 @@ def report_page(fit: Fit, again: RunAgain) -> str:
     now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     about = f"Written by vibrojax {version('vibrojax')} on {now}."
     parts = [element("h1", title), element("p", about, kind="faint")]
-    parts += [element("div", element("p", w), kind="warning") for w in fit.warnings]
+    parts += [element("p", f"Warning: {sentence}", kind="warning") for sentence in fit.warnings]
     parts += _estimates(fit)
     parts.append(element("h2", "Measured and fitted"))
     for k, label in enumerate(labels):
@@ -164,10 +164,8 @@ def _again(again: RunAgain) -> list[Element]:
         element("p", "Save and unpack ", link, f", then run python {SCRIPT} in its folder.")
     )
     if again.missing:
-        words = "It does not run as it is. Put in its place what is missing:"
-        parts.append(
-            element("div", element("p", words), listed(again.missing), kind="warning")
-        )
+        words = "It does not run as it is; put in its place what is missing."
+        parts += [element("p", words, kind="warning"), listed(again.missing)]
     return [*parts, element("pre", again.files[SCRIPT])]
 
 

@@ -1,4 +1,4 @@
-"""The Python text that makes a function again, with all that it uses, for a file that repeats a fit."""
+"""The Python text of a function and of all that it uses, for a script that repeats a fit."""
 
 import ast
 import builtins
@@ -16,8 +16,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-
-from vibrojax._tools.described import in_short
 
 LONGEST = 10_000
 """Characters of a value that is written out."""
@@ -43,15 +41,13 @@ class Source:
         """Add a function; returns the name it goes by."""
         name = getattr(function, "__name__", "")
         if not isinstance(inspect.unwrap(function), FunctionType) or not name.isidentifier():
-            self.lack(
-                f"the function of the rig is {_kind(function)}, which has no text of its own"
-            )
+            self.lack(f"the function of the rig, {kind_of(function)}, has no text of its own")
             return "rig"
         self._add(name, function)
         return name
 
     def value(self, value: Any) -> str | None:
-        """Return the text of a value, adding the imports that it needs; None where there is none."""
+        """Return the text of a value, adding imports that it needs; None where there is none."""
         before = dict(self.imports)
         text = self._text(value)
         if text is None or len(text) > LONGEST:
@@ -117,12 +113,12 @@ class Source:
                 self.lack(f"{value.__name__} is a file of its own: put it beside this one")
             same = value.__name__ == name
             self.imports[f"import {value.__name__}" + ("" if same else f" as {name}")] = None
-        elif isinstance(value, type) or callable(value) and not isinstance(value, eqx.Module):
+        elif isinstance(value, type) or (callable(value) and not isinstance(value, eqx.Module)):
             self._add_callable(name, value)
         elif (text := self.value(value)) is not None:
             self.definitions[name] = f"{name} = {text}"
         else:
-            self.lack(f"{name}, {in_short(value)}, cannot be written as text")
+            self.lack(f"{name}, {kind_of(value)}, cannot be written as text")
 
     def _add_callable(self, name: str, value: Any) -> None:
         own = getattr(value, "__name__", name)
@@ -130,6 +126,10 @@ class Source:
         if module is not None and _is_installed(module) and getattr(module, own, None) is value:
             renamed = "" if own == name else f" as {name}"
             self.imports[f"from {module.__name__} import {own}{renamed}"] = None
+            return
+        if own != name and own.isidentifier():
+            self._add(own, value)
+            self.definitions[name] = f"{name} = {own}"
             return
         try:
             text = textwrap.dedent(inspect.getsource(value))
@@ -139,7 +139,7 @@ class Source:
             return
         defined = tree.body[0]
         if not isinstance(defined, ast.FunctionDef | ast.ClassDef) or defined.name != name:
-            self.lack(f"{name} is {_kind(value)}, which has no text of its own")
+            self.lack(f"{name}, {kind_of(value)}, has no text of its own")
             return
         self.definitions[name] = ""  # reserved: it may name itself
         known = _names(value)
@@ -150,8 +150,10 @@ class Source:
         self.definitions[name] = text.strip()
 
 
-def _kind(value: Any) -> str:
-    return "a lambda" if getattr(value, "__name__", "") == "<lambda>" else in_short(value)
+def kind_of(value: Any) -> str:
+    """Say of what kind a value is."""
+    kind = "lambda" if getattr(value, "__name__", "") == "<lambda>" else type(value).__name__
+    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 def is_default(value: Any, default: Any) -> bool:

@@ -14,10 +14,9 @@ import jax
 import numpy as np
 import pandas as pd
 
-from vibrojax._tools.described import in_short
 from vibrojax.identification.fit import Fit
 from vibrojax.identification.problem import Measurement
-from vibrojax.identification.rig_source import Source, is_default
+from vibrojax.identification.rig_source import Source, is_default, kind_of
 
 SCRIPT = "run_again.py"
 _PATH = "from pathlib import Path"
@@ -25,9 +24,9 @@ _READ = '''HERE = Path(__file__).parent
 
 
 def table(name):
-    """Columns of a file, every digit of them."""
-    columns = pd.read_csv(HERE / name, float_precision="round_trip")
-    return {name: column.to_numpy() for name, column in columns.items()}'''
+    """Columns of a file."""
+    read = np.genfromtxt(HERE / name, delimiter=",", names=True)
+    return {name: read[name] for name in read.dtype.names}'''
 
 
 class RunAgain(NamedTuple):
@@ -70,12 +69,12 @@ def run_again(
     arguments = [name, "measured"]
     for argument, value in fit.call.items():
         if (text := written.value(value)) is None:
-            written.lack(f"{argument} = {in_short(value)} cannot be written as text")
+            written.lack(f"{argument}, {kind_of(value)}, cannot be written as text")
         elif value is not None:
             arguments.append(f"{argument}={text}")
+    about = f"Repeats a fit of vibrojax {version('vibrojax')} with the files beside it."
     script = [
-        f'"""Repeats a fit of vibrojax {version("vibrojax")} with the files beside it."""',
-        _imported(written),
+        f'"""{about}"""\n\n{_imported(written)}',
         _READ,
         rig,
         f"measured = {_listed(measured, '[]')}\n\nfit = vj.identify{_listed(arguments, '()')}",
@@ -85,7 +84,7 @@ def run_again(
 
 
 def _imported(written: Source) -> str:
-    others = {"import pandas as pd", "import vibrojax as vj", *written.imports}
+    others = {"import numpy as np", "import vibrojax as vj", *written.imports}
     lines = sorted(others - {_PATH}, key=lambda line: line.split()[1])
     return "\n".join([_PATH, "", *lines])
 
@@ -100,7 +99,8 @@ def _measurement(written: Source, measured: Measurement, number: int, files: dic
     facts = []
     for field in dataclasses.fields(measured):
         value = getattr(measured, field.name)
-        if value is None or is_default(value, field.default) or (isinstance(value, dict | tuple) and not value):
+        empty = isinstance(value, dict | tuple) and not value
+        if empty or is_default(value, field.default):
             continue
         if isinstance(value, np.ndarray) and value.shape == (measured.size,):
             columns[field.name] = value

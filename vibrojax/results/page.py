@@ -15,15 +15,13 @@ th, td { text-align: left; vertical-align: top; padding: 0.25rem 0.9rem 0.25rem 
 pre { background: #f4f6f8; padding: 0.7rem 0.9rem; font-size: 0.82rem; line-height: 1.4;
       white-space: pre-wrap; overflow-wrap: anywhere; }
 img { max-width: 100%; } .faint { color: #5b666c; }
-.warning { border-left: 4px solid #d55e00; padding: 0.1rem 0 0.1rem 0.9rem; margin: 0.8rem 0; }
+.warning { border-left: 4px solid #d55e00; padding-left: 0.9rem; }
 @media print { body { font-size: 11pt; margin: 0; max-width: none; } h2, h3 { break-after: avoid; }
                img, tr { break-inside: avoid; } }
 """
 
-Content = "str | ElementTree.Element"
 
-
-def element(tag: str, *inside: Content, **attributes: str) -> ElementTree.Element:
+def element(tag: str, *inside: str | ElementTree.Element, **attributes: str) -> ElementTree.Element:
     """Return an element; texts inside are escaped when it is written. `kind` is its class."""
     if "kind" in attributes:
         attributes["class"] = attributes.pop("kind")
