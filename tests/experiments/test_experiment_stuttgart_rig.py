@@ -87,6 +87,10 @@ def test_the_page_has_the_results():
             assert f"| {' | '.join(cells)} |" in page
     for name, factor in content["fitted_factors"].items():
         assert f"{name} {factor:.3f}" in page
+    for row in json.loads((FOLDER / "pair.json").read_text()):
+        assert f"{row['touch_frequency_ratio']:.3f} of the first" in page
+        height, place = row["largest_amplitude_over_gap"], row["its_frequency_ratio"]
+        assert f"{height:.1f} gaps at {place:.3f}" in page
 
 
 TIME = np.arange(0, 30, 1 / 300)
