@@ -14,6 +14,7 @@ from vibrojax._tools.described import in_short
 from vibrojax._tools.files import path_of
 from vibrojax.identification.fit import Fit
 from vibrojax.identification.problem import label_of
+from vibrojax.identification.record_numbers import record_numbers_in, unit_of
 from vibrojax.identification.run_again import SCRIPT, RunAgain, run_again
 from vibrojax.results.page import download, element, embedded, listed, page, table
 from vibrojax.results.saving import whole_files
@@ -69,10 +70,11 @@ def _estimates(fit: Fit) -> list[Element]:
     percent = f"{100 * fit.confidence:g} % interval"
     head = ["number", "estimate", percent, "standard deviation", "unit", "the data say"]
     head += ["guess", "bounds", "moved in"]
+    of_records = record_numbers_in(fit.problem.make, [c.argument for c in fit.problem.coordinates])
     rows = []
     for c in fit.problem.coordinates:
         low, high = fit.interval[c.name]
-        unit = axis_unit(c.argument)
+        unit = unit_of(c.argument) if c.argument in of_records else axis_unit(c.argument)
         ends = f"{c.low:.4g} to {c.high:.4g}" if np.isfinite([c.low, c.high]).any() else "none"
         rows.append(
             [
@@ -80,7 +82,7 @@ def _estimates(fit: Fit) -> list[Element]:
                 f"{fit.estimate[c.name]:.6g}",
                 f"{low:.5g} to {high:.5g}",
                 f"{fit.standard_deviation[c.name]:.3g}",
-                "as the argument" if unit in PLAIN else unit,
+                "as the argument" if unit in PLAIN and c.argument not in of_records else unit,
                 fit.identifiability[c.name],
                 f"{c.guess:.4g}",
                 ends,
