@@ -58,10 +58,10 @@ def fitted_data(
         names = np.array(list(measured.channels))[seen.channel]
         put("channel", "point", names, "Channel measured")
         deviation = measured.noise().deviation
-        fitted = seen.value - residual * np.array([deviation[name] for name in names])
+        shown = seen.value - residual * np.array([deviation[name] for name in names])
         put("unit", "point", [CHANNELS[name] for name in names], "Unit of the signals")
         put("measured_value", "point", seen.value, "Signal measured", "by channel")
-        put("fitted_value", "point", fitted, "Signal fitted, as the sensor shows it", "by channel")
+        put("fitted_value", "point", shown, "Signal fitted, as the sensor shows it", "by channel")
         return xarray.Dataset(data)
     assert curve is not None
     at = described_as(measured.frequency_name)
