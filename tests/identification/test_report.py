@@ -38,7 +38,6 @@ def curve():
         amplitude=1 + frequency / 3,
         amplitude_deviation=np.full(9, 0.01),
         direction=1,
-        phase=np.where(frequency < 1, np.nan, -frequency),
         parameters={"damping": 0.5},
         label=NASTY,
         notes=("The column was <tip>.",),
@@ -48,7 +47,8 @@ def curve():
 def record():
     time = np.arange(1, 9) / 300
     drive = vj.Sampled(np.linspace(0, 0.1, 6), np.arange(6) / 7)
-    return vj.io.MeasuredHistory(time, np.sin(time / 3), waveform=drive, label="record")
+    motion = np.where(np.arange(8) == 3, np.nan, np.sin(time / 3))
+    return vj.io.MeasuredHistory(time, motion, waveform=drive, label="record")
 
 
 def fitted(make=rig, **changed):
@@ -63,7 +63,7 @@ def fitted(make=rig, **changed):
     along = Curve(curve().frequency, np.ones((9, 1)), np.ones((9, 1)), np.arange(9) < 8)
     drawn = (
         fitted_data(measured[0], np.linspace(-1, 2.5, 9), along),
-        fitted_data(measured[1], np.linspace(-1, 1, 8)),
+        fitted_data(measured[1], np.linspace(-1, 1, 7)),
     )
     names = problem.names
     estimate = dict(zip(names, (5402.1256, 3.9e-4, 5.1e-4), strict=True))
