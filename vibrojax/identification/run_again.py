@@ -134,6 +134,8 @@ def _tried(text: str, name: str, files: Mapping[str, str], fit: Fit) -> str | No
         names: dict[str, Any] = {"__file__": str(Path(folder) / SCRIPT), "__name__": "run_again"}
         try:
             exec(compile(text, SCRIPT, "exec"), names)
+            if name not in names:
+                return f"the text defines no {name}"
             made = names[name](**numbers)
         except Exception as error:  # whatever a function of the user's raises
             return f"the text of the rig does not run, {type(error).__name__}: {error}"
