@@ -166,7 +166,7 @@ def test_the_function_takes_what_is_fitted():
 def test_the_text_of_the_function(folder):
     for rig in (None, Path("rig.toml")):
         text, files = cli_fit.source_of_rig(rig, ["stiffness", "gap"])
-        names = {"vj": vj, "HERE": folder}
+        names = {"vibrojax": vj, "HERE": folder}
         exec(text, names)
         system = vj.default_rig() if rig is None else vj.io.read_rig(rig)[0]
         wanted = cli_fit.rig_function(system, ["stiffness", "gap"])
@@ -289,5 +289,5 @@ def test_as_a_process(folder):
     assert f"stiffness  {report['parameters']['stiffness']['estimate']:.5g}" in done.stdout
     assert Path("found.png").read_bytes()[:4] == b"\x89PNG"
     page = Path("report.html").read_text("utf-8")
-    assert "rig = rig_function(vj.io.read_rig(" in page
+    assert "rig = rig_function(vibrojax.io.read_rig(" in page
     assert "It does not run as it is" not in page

@@ -88,7 +88,7 @@ def fitted(make=rig, **changed):
         "repetition": 0,
         "frequency_scale": 1e-3,
         "point": np.zeros(3),
-        "call": {"guess": {"stiffness": 4e3, "gap": 4e-4}, "bounds": None, "private": ["gap"]},
+        "call": {"guess": {"stiffness": 4e3, "gap": 4e-4}, "bounds": None, "private": ("gap",)},
     }
     return Identification(**(fields | changed))
 
@@ -176,7 +176,7 @@ def test_the_script_reads_the_measurements_to_the_last_digit(page, tmp_path, mon
             else:
                 assert one == other, field.name
     assert asked["guess"] == {"stiffness": 4e3, "gap": 4e-4}
-    assert asked["private"] == ["gap"]
+    assert asked["private"] == ("gap",)
     assert "bounds" not in asked
 
 
@@ -186,17 +186,18 @@ def test_what_the_script_lacks_is_said():
     assert "The function of the rig, a lambda, has no text of its own." in text
     other = fitted(call={"search": len})
     assert run_again(other).missing == (
-        "Search, a builtin_function_or_method, cannot be written as text.",
+        "search, a builtin_function_or_method, cannot be written as text.",
     )
 
 
 def test_a_source_that_is_given_is_tried(tmp_path):
     fit = fitted(lambda **numbers: rig(**numbers))
-    source = "def rig(stiffness, gap, damping):\n    return vj.default_rig({}stiffness=stiffness)"
+    source = "import vibrojax as vj\ndef rig(stiffness, gap, damping):\n"
+    source += "    return vj.default_rig({}stiffness=stiffness)"
     for wrong, words in (
-        ("rig = 1 +", "the text of the rig does not run, SyntaxError"),
-        ("x = 1", "the text defines no rig"),
-        (source.format(""), "the text of the rig makes another rig than the one fitted"),
+        ("rig = 1 +", "it does not run, SyntaxError"),
+        ("x = 1", "it defines no rig"),
+        (source.format(""), "it makes another rig than the one fitted"),
     ):
         with pytest.raises(ValueError, match=f"source must make .*{words}"):
             fit.report(tmp_path / "report.html", source=wrong)

@@ -3,7 +3,6 @@
 import math
 from functools import partial
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -104,7 +103,7 @@ def test_values(value):
 def test_arrays_keep_every_digit():
     source, names = Source(), {}
     values = np.random.default_rng(0).random((3, 2))
-    exec(f"import numpy as np\nvalue = {source.value(values)}", names)
+    exec(f"import numpy\nvalue = {source.value(values)}", names)
     assert np.array_equal(names["value"], values)
     assert source.value(np.zeros(5000)) is None  # too long to be read
 
@@ -130,5 +129,12 @@ def test_what_cannot_be_written_is_said():
     assert [*source.missing] == ["The text of rig could not be had."]
 
 
-def test_a_module_cannot_be_written_as_a_number():
-    assert Source().value(eqx) is None
+def uses_other_numbers():
+    return np.ones(2)
+
+
+def test_names_with_two_meanings_are_said():
+    source = Source(["np", "rig"])
+    source.add_function(uses_other_numbers)
+    assert [*source.missing] == ["np stands for two things: give one of them another name."]
+    assert source.definitions.keys() == {"uses_other_numbers"}

@@ -81,9 +81,12 @@ def run_fit(options: Fit) -> int:
 
 def source_of_rig(rig: Path | None, names: Sequence[str]) -> tuple[str, dict[str, str]]:
     """Return Python text that makes the function of a rig file again, and the files it reads."""
-    system, files = "vj.default_rig()", {}
+    system, files = "vibrojax.default_rig()", {}
     if rig is not None:
-        system, files = "vj.io.read_rig(HERE / 'rig.toml')[0]", {"rig.toml": rig.read_text("utf-8")}
+        system, files = (
+            "vibrojax.io.read_rig(HERE / 'rig.toml')[0]",
+            {"rig.toml": rig.read_text("utf-8")},
+        )
     text = f"from {__name__} import rig_function\n\nrig = rig_function({system}, {[*names]})"
     return text, files
 

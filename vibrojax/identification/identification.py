@@ -184,8 +184,8 @@ class Identification(Fit):
 
         Parameters:
             path: of the page, such as `report.html`; what is there is replaced.
-            source: Python text that defines `rig`, the function of the rig, where it cannot be read
-                off the function (one made by another, or in a session that keeps no text).
+            source: Python text that defines `rig`, the function of the rig, with its imports, where
+                it cannot be read off the function (a lambda, or a session that keeps no text).
 
         Raises `ValueError` for a path that is not of a page, or cannot be a file's, and a `source`
         that does not make the rig that was fitted; `OSError` where writing fails.

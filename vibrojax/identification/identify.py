@@ -150,9 +150,10 @@ def identify(
     problem = Problem(make_system, data, coordinates, objective, held)
     fits = _Fits(problem, data, search or LevenbergMarquardt(), frequency_scales)
     fits.run(searches)
-    call = {"guess": dict(guess), "bounds": bounds, "private": private, "objective": objective}
-    call |= {"search": search, "transforms": transforms, "searches": searches}
-    call |= {"frequency_scales": frequency_scales, "confidence": confidence, **numbers}
+    call = {"guess": dict(guess), "bounds": bounds, "private": tuple(private)}
+    call |= {"objective": objective, "search": search, "transforms": transforms}
+    call |= {"searches": searches, "frequency_scales": frequency_scales}
+    call |= {"confidence": confidence, **numbers}
     found = [fits.result(k, call) for k in range(len(data))]
     return found[0] if together else found
 

@@ -125,7 +125,8 @@ def _measurement(fit: Fit, k: int, label: str, again: RunAgain) -> list[Element]
         f"{np.sqrt(np.mean(residual**2)):.3g}, largest {np.max(np.abs(residual)):.3g}, "
         f"{np.sum(np.abs(residual) > 2)} of {residual.size} beyond 2."
     )
-    own = [name for name in again.files if name.startswith(f"measurement_{k + 1}")]
+    ways = f"measurement_{k + 1}.", f"measurement_{k + 1}_"
+    own = [name for name in again.files if name.startswith(ways)]
     links = [download(name, again.files[name].encode(), "text/csv") for name in own]
     return [
         element("h3", title),

@@ -8,7 +8,7 @@ import math
 import symtable
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
@@ -24,10 +24,12 @@ LONGEST = 10_000
 class Source:
     """Python text: imports, then definitions in an order in which they can be run.
 
-    What cannot be written is in `missing`, in sentences; the text then lacks it.
+    What cannot be written is in `missing`, in sentences; the text then lacks it. Names that are
+    `taken` have another meaning where the text will stand.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, taken: Iterable[str] = ()) -> None:
+        self.names: dict[str, Any] = dict.fromkeys(taken, self)
         self.imports: dict[str, None] = {}
         self.definitions: dict[str, str] = {}
         self.missing: dict[str, None] = {}
@@ -41,7 +43,7 @@ class Source:
         """Add a function; returns the name it goes by."""
         name = getattr(function, "__name__", "")
         if not isinstance(inspect.unwrap(function), FunctionType) or not name.isidentifier():
-            self.lack(f"the function of the rig, {kind_of(function)}, has no text of its own")
+            self.lack(f"The function of the rig, {kind_of(function)}, has no text of its own")
             return "rig"
         self._add(name, function)
         return name
@@ -65,8 +67,8 @@ class Source:
             inner = self._text(np.asarray(value).tolist())
             if inner is None or not np.ndim(value):
                 return inner
-            self.imports["import numpy as np"] = None
-            return f"np.array({inner})"
+            self.imports["import numpy"] = None
+            return f"numpy.array({inner})"
         if isinstance(value, tuple | list | dict):
             return self._gathered(value)
         return self._module(value)
@@ -102,12 +104,15 @@ class Source:
 
     def lack(self, what: str) -> None:
         """Note what cannot be written."""
-        self.missing[f"{what[0].upper()}{what[1:]}."] = None
+        self.missing[f"{what}."] = None
 
     def _add(self, name: str, value: Any) -> None:
         """Add what a name stands for: an import, a definition, or a value."""
-        if name in self.definitions:
+        if name in self.names:
+            if self.names[name] is not value:
+                self.lack(f"{name} stands for two things: give one of them another name")
             return
+        self.names[name] = value
         if isinstance(value, ModuleType):
             if not _is_installed(value):
                 self.lack(f"{value.__name__} is a file of its own: put it beside this one")
@@ -135,19 +140,17 @@ class Source:
             text = textwrap.dedent(inspect.getsource(value))
             tree = ast.parse(text)
         except (OSError, TypeError, SyntaxError):
-            self.lack(f"the text of {name} could not be had")
+            self.lack(f"The text of {name} could not be had")
             return
         defined = tree.body[0]
         if not isinstance(defined, ast.FunctionDef | ast.ClassDef) or defined.name != name:
             self.lack(f"{name}, {kind_of(value)}, has no text of its own")
             return
-        self.definitions[name] = ""  # reserved: it may name itself
         known = _names(value)
         for used in dict.fromkeys(_used(symtable.symtable(text, name, "exec"))):
             if used in known:
                 self._add(used, known[used])
-        del self.definitions[name]  # behind all that it uses
-        self.definitions[name] = text.strip()
+        self.definitions[name] = text.strip()  # behind all that it uses
 
 
 def kind_of(value: Any) -> str:

@@ -23,10 +23,12 @@ _PATH = "from pathlib import Path"
 _READ = '''HERE = Path(__file__).parent
 
 
-def table(name):
+def columns_of(name):
     """Columns of a file."""
-    read = np.genfromtxt(HERE / name, delimiter=",", names=True)
-    return {name: read[name] for name in read.dtype.names}'''
+    table = numpy.genfromtxt(HERE / name, delimiter=",", names=True)
+    return {name: numpy.atleast_1d(table[name]) for name in table.dtype.names}'''
+_OWN = ("Path", "HERE", "columns_of", "measured", "fit")
+"""Names of the script."""
 
 
 class RunAgain(NamedTuple):
@@ -55,7 +57,7 @@ def run_again(
     function. `files` are those that it reads beside itself, by name. The text is run to see whether
     it makes the rig that was fitted. Raises `ValueError` where a `source` that was given does not.
     """
-    written, content = Source(), dict(files or {})
+    written, content = Source(_OWN), dict(files or {})
     name = "rig" if source is not None else written.add_function(fit.problem.make)
     rig = source.strip() if source is not None else written.text
     if not written.missing:
@@ -64,27 +66,26 @@ def run_again(
         if wrong and source is not None:
             raise ValueError(f"source must make the rig that was fitted, as rig(...): {wrong}.")
         if wrong:
-            written.lack(wrong)
+            written.lack(f"The text of the rig was tried: {wrong}")
     measured = [_measurement(written, m, k, content) for k, m in enumerate(fit.measured, 1)]
     arguments = [name, "measured"]
     for argument, value in fit.call.items():
-        if (text := written.value(value)) is None:
-            written.lack(f"{argument}, {kind_of(value)}, cannot be written as text")
-        elif value is not None:
-            arguments.append(f"{argument}={text}")
+        if value is not None:
+            arguments.append(_argument(written, argument, value))
     about = f"Repeats a fit of vibrojax {version('vibrojax')} with the files beside it."
     script = [
         f'"""{about}"""\n\n{_imported(written)}',
         _READ,
         rig,
-        f"measured = {_listed(measured, '[]')}\n\nfit = vj.identify{_listed(arguments, '()')}",
+        f"measured = {_listed(measured, '[]')}",
+        f"fit = vibrojax.identify{_listed(arguments, '()')}",
         'if __name__ == "__main__":\n    print(fit)\n',
     ]
     return RunAgain({SCRIPT: "\n\n\n".join(script)} | content, tuple(written.missing))
 
 
 def _imported(written: Source) -> str:
-    others = {"import numpy as np", "import vibrojax as vj", *written.imports}
+    others = {"import numpy", "import vibrojax", *written.imports}
     lines = sorted(others - {_PATH}, key=lambda line: line.split()[1])
     return "\n".join([_PATH, "", *lines])
 
@@ -111,13 +112,20 @@ def _measurement(written: Source, measured: Measurement, number: int, files: dic
             files[name] = _csv(arrays)
             kind = type(value)
             written.imports[f"from {kind.__module__} import {kind.__name__}"] = None
-            facts.append(f'{field.name}={kind.__name__}(**table("{name}"))')
+            facts.append(f'{field.name}={kind.__name__}(**columns_of("{name}"))')
         else:
-            facts.append(f"{field.name}={written.value(value)}")
+            facts.append(_argument(written, field.name, value))
     name = f"measurement_{number}.csv"
     files[name] = _csv(columns)
-    inside = ",\n        ".join([f'**table("{name}")', *facts])
-    return f"vj.io.{type(measured).__name__}(\n        {inside},\n    )"
+    inside = ",\n        ".join([f'**columns_of("{name}")', *facts])
+    return f"vibrojax.io.{type(measured).__name__}(\n        {inside},\n    )"
+
+
+def _argument(written: Source, name: str, value: Any) -> str:
+    text = written.value(value)
+    if text is None:
+        written.lack(f"{name}, {kind_of(value)}, cannot be written as text")
+    return f"{name}={text}"
 
 
 def _csv(columns: Mapping[str, np.ndarray]) -> str:
@@ -130,16 +138,16 @@ def _tried(text: str, name: str, files: Mapping[str, str], fit: Fit) -> str | No
     numbers = fit.problem.arguments(estimate, 0, fit.measured[0])
     with tempfile.TemporaryDirectory() as folder:
         for file, content in files.items():
-            (Path(folder) / file).write_text(content)
+            (Path(folder) / file).write_text(content, "utf-8")
         names: dict[str, Any] = {"__file__": str(Path(folder) / SCRIPT), "__name__": "run_again"}
         try:
             exec(compile(text, SCRIPT, "exec"), names)
             if name not in names:
-                return f"the text defines no {name}"
+                return f"it defines no {name}"
             made = names[name](**numbers)
         except Exception as error:  # whatever a function of the user's raises
-            return f"the text of the rig does not run, {type(error).__name__}: {error}"
+            return f"it does not run, {type(error).__name__}: {error}"
     found, wanted = (jax.tree.leaves(rig) for rig in (made, fit.system()))
     if len(found) != len(wanted) or not all(map(np.array_equal, found, wanted)):
-        return "the text of the rig makes another rig than the one fitted"
+        return "it makes another rig than the one fitted"
     return None
