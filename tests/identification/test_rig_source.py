@@ -1,7 +1,10 @@
 """The text of a function, with all that it uses, makes the same again."""
 
+import linecache
 import math
+import sys
 from functools import partial
+from types import ModuleType
 
 import jax
 import numpy as np
@@ -74,6 +77,37 @@ def test_a_function_of_a_package_is_imported():
 def test_a_function_made_by_another_takes_its_numbers_along():
     again, _ = run(made_in_place(2.0))
     assert again(1e-3).gap == 2e-3
+
+
+def test_a_class_of_a_notebook_is_read_off_its_cell(monkeypatch):
+    cell = """import functools
+import vibrojax as vj
+
+SHARE = 0.5
+
+@functools.cache
+def half(x):
+    return SHARE * x
+
+@functools.total_ordering
+class Soft:
+    def __lt__(self, other):
+        return half(2.0) < 0
+
+after = 1
+"""
+    module = ModuleType("cell")
+    monkeypatch.setitem(sys.modules, "cell", module)
+    monkeypatch.setitem(linecache.cache, "<cell>", (len(cell), None, cell.splitlines(True), ""))
+    exec(compile(cell, "<cell>", "exec"), vars(module))
+    source = Source()
+    source.add("Soft", module.Soft)
+    assert not source.missing
+    assert list(source.definitions) == ["SHARE", "half", "Soft"]
+    assert source.definitions["Soft"].startswith("@functools.total_ordering\nclass Soft:")
+    names = {}
+    exec("\n".join(source.imports) + "\n" + source.text, names)
+    assert not names["Soft"]() < names["Soft"]()
 
 
 @pytest.mark.parametrize(

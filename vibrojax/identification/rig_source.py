@@ -4,6 +4,7 @@ import ast
 import builtins
 import dataclasses
 import inspect
+import linecache
 import math
 import symtable
 import sys
@@ -45,7 +46,7 @@ class Source:
         if not isinstance(inspect.unwrap(function), FunctionType) or not name.isidentifier():
             self.lack(f"The function of the rig, {kind_of(function)}, has no text of its own")
             return "rig"
-        self._add(name, function)
+        self.add(name, function)
         return name
 
     def value(self, value: Any) -> str | None:
@@ -99,14 +100,14 @@ class Source:
                 return None
             given.append(f"{field.name}={text}")
         name = type(value).__name__
-        self._add(name, type(value))
+        self.add(name, type(value))
         return f"{name}({', '.join(given)})"
 
     def lack(self, what: str) -> None:
         """Note what cannot be written."""
         self.missing[f"{what}."] = None
 
-    def _add(self, name: str, value: Any) -> None:
+    def add(self, name: str, value: Any) -> None:
         """Add what a name stands for: an import, a definition, or a value."""
         if name in self.names:
             if self.names[name] is not value:
@@ -133,11 +134,11 @@ class Source:
             self.imports[f"from {module.__name__} import {own}{renamed}"] = None
             return
         if own != name and own.isidentifier():
-            self._add(own, value)
+            self.add(own, value)
             self.definitions[name] = f"{name} = {own}"
             return
         try:
-            text = textwrap.dedent(inspect.getsource(value))
+            text = textwrap.dedent(_text_of(value))
             tree = ast.parse(text)
         except (OSError, TypeError, SyntaxError):
             self.lack(f"The text of {name} could not be had")
@@ -149,7 +150,7 @@ class Source:
         known = _names(value)
         for used in dict.fromkeys(_used(symtable.symtable(text, name, "exec"))):
             if used in known:
-                self._add(used, known[used])
+                self.add(used, known[used])
         self.definitions[name] = text.strip()  # behind all that it uses
 
 
@@ -164,6 +165,25 @@ def is_default(value: Any, default: Any) -> bool:
     if value is default:
         return True
     return isinstance(value, bool | int | float | str | tuple) and value == default
+
+
+def _text_of(value: Any) -> str:
+    """Return the text of a function or class. Raises `OSError` or `TypeError` where it has none."""
+    try:
+        return inspect.getsource(value)
+    except (OSError, TypeError):
+        if not isinstance(value, type):
+            raise
+    # A class of a notebook has no file, but its methods know the cell that it stands in.
+    for method in (getattr(value, name) for name in vars(value)):
+        if not isinstance(method, FunctionType):
+            continue
+        lines = linecache.getlines(method.__code__.co_filename)
+        for node in ast.parse("".join(lines)).body:
+            if isinstance(node, ast.ClassDef) and node.name == value.__name__:
+                first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
+                return "".join(lines[first - 1 : node.end_lineno])
+    raise OSError(f"{value.__name__} has no text")
 
 
 def _used(table: symtable.SymbolTable) -> Iterator[str]:
