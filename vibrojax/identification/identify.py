@@ -5,13 +5,11 @@ from typing import Any, Literal, overload
 
 import jax.numpy as jnp
 import numpy as np
-import scipy
 
 from vibrojax._tools.checks import check_count, check_range
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.tracing import free_motion
 from vibrojax.ensemble.ranges import Range
-from vibrojax.identification.coordinates import Coordinate
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.findings import early_jumps, misfit, modes_left_out
 from vibrojax.identification.fit import Alternative
@@ -26,6 +24,7 @@ from vibrojax.identification.problem import (
     measurements_of,
     repetitions_of,
 )
+from vibrojax.identification.searching import restarts, spread_starts
 from vibrojax.identification.trial_rigs import SAMPLES
 from vibrojax.identification.uncertainty import influence, uncertainty
 from vibrojax.measured.curve import MeasuredCurve
@@ -42,8 +41,6 @@ POOR = 2.0
 """Reduced chi-square above which searches start elsewhere too."""
 FARTHEST = 9.0
 """Farthest that a search goes from the guess in a coordinate: a factor of 8000 in log."""
-FACTORS = (0.1, 0.3, 3.0, 10.0)
-"""By which the stiffness is multiplied where a search ended with a poor fit."""
 MOST_HOPS, HOP = 4, 0.1
 """How often histories may begin another sample sooner or later, and what that has to gain."""
 APART = 3.0
@@ -385,22 +382,3 @@ def free_stop_amplitude(paths: FrequencyPath, frequency: float) -> float:
     spectrum = np.asarray(free_motion(one, jnp.asarray([frequency]), SAMPLES, 1))
     average = cell_average(SAMPLES, spectrum.shape[-1])[1]
     return float(np.max(np.abs(spectrum[0, :, 1])) * 2 / SAMPLES / average)
-
-
-def restarts(point: np.ndarray, coordinates: tuple[Coordinate, ...]) -> np.ndarray:
-    """Starts around one that ended badly: the stiffness (or what moves in log) multiplied."""
-    moving = [k for k, c in enumerate(coordinates) if c.kind == "log"]
-    stiff = [k for k in moving if "stiffness" in coordinates[k].name] or moving[:1]
-    starts = np.repeat(point[None], len(FACTORS), axis=0)
-    starts[:, stiff] += np.log(FACTORS)[:, None]
-    return starts
-
-
-def spread_starts(point: np.ndarray, coordinates: tuple[Coordinate, ...], count: int) -> np.ndarray:
-    """Starts spread evenly (Halton) within the bounds, or a decade around the guess."""
-    shares = scipy.stats.qmc.Halton(len(point), scramble=False).random(count + 1)[1:]
-    limits = np.array([c.limits for c in coordinates])
-    reach = np.array([np.log(10.0) if c.kind == "log" else 3.0 for c in coordinates])
-    around = np.stack([point - reach, point + reach], axis=1)
-    low, high = np.where(np.isfinite(limits), limits, around).T
-    return low + shares * (high - low)
