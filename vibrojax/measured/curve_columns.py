@@ -12,8 +12,9 @@ from vibrojax.measured.columns import (
     find_column,
     match_columns,
 )
+from vibrojax.measured.datasets import OWN
 from vibrojax.measured.kinds import FRAMES, QUANTITIES, SIGNALS
-from vibrojax.measured.tables import OWN, Table
+from vibrojax.measured.table import Table
 from vibrojax.measured.units import UNITS, split_header
 
 _AMPLITUDE = (

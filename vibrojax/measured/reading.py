@@ -19,7 +19,8 @@ from vibrojax.measured.directions import (
     guess_directions,
 )
 from vibrojax.measured.splitting import Splitting
-from vibrojax.measured.tables import Table, read_table
+from vibrojax.measured.table import Table
+from vibrojax.measured.tables import read_table
 from vibrojax.measured.units import UNITS, split_header
 
 _REAL = {

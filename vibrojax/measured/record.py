@@ -15,7 +15,8 @@ from vibrojax.measured.columns import (
     real_numbers,
     usable,
 )
-from vibrojax.measured.tables import Table, read_table
+from vibrojax.measured.table import Table
+from vibrojax.measured.tables import read_table
 from vibrojax.measured.units import UNITS, find_unit, split_header
 from vibrojax.model.signals import Sampled
 
