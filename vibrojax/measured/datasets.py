@@ -14,6 +14,7 @@ OWN = ("amplitude_ratio", "peak_ratio", "rms_ratio", "first_harmonic_ratio")
 
 
 def of_dataset(dataset: "xarray.Dataset", wanted: list[Any], along: str | None) -> Table:
+    """Return the table of a dataset, as `read_table` does."""
     import xarray
 
     if along is not None and along in dataset.dims:

@@ -34,7 +34,7 @@ def read_hdf(group: "h5py.Group", above: tuple[Any, ...] = ()) -> dict[str, Any]
 
     found: dict[str, Any] = {}
     above = (*above, group)
-    for name in group:
+    for name in map(str, group):
         try:
             item = group[name]
         except (KeyError, OSError):  # a link to something that is not there

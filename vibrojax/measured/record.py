@@ -15,6 +15,8 @@ from vibrojax.measured.columns import (
     real_numbers,
     usable,
 )
+from vibrojax.measured.groups import listed
+from vibrojax.measured.runs import runs_of
 from vibrojax.measured.table import Table
 from vibrojax.measured.tables import read_table
 from vibrojax.measured.units import UNITS, find_unit, split_header
@@ -37,12 +39,14 @@ def read_drive(
     units: Mapping[str, str] | None = None,
     skip_unusable: bool = False,
     decimal: str | None = None,
+    at: str | int | None = None,
+    run: str | None = None,
 ) -> Sampled:
     """Read a measured drive, as `simulate(waveform=...)` takes it.
 
         drive = vj.io.read_drive("record.csv", units=dict(acceleration="g"))
 
-    `source` and `decimal` are as for `read_measured_curve`; time is in s where nothing says
+    `source`, `decimal` and `at` are as for `read_measured_curve`; time is in s where nothing says
     otherwise.
 
     Parameters:
@@ -53,16 +57,24 @@ def read_drive(
         skip_unusable: whether rows that hold no numbers are left out, and bridged by a straight
             line; else they are refused.
         decimal: decimal sign of numbers in text, `.` or `,`; None: read off the cells.
+        at: the place in a file of several tables.
+        run: the run of a table of several, by name.
 
-    Raises `ValueError` when the source cannot be read, a column or unit is missing, ambiguous or
-    unknown, or what is read is no `Sampled`.
+    Raises `ValueError` when the source cannot be read, a column, unit or run is missing, ambiguous
+    or unknown, or what is read is no `Sampled`; `ImportError` where a library for it is missing.
     """
     check_choice("quantity", quantity, tuple(_QUANTITIES))
     named = isinstance(source, str | os.PathLike)
     label = os.fspath(source) if named else type(source).__name__
     try:
         columns, units = dict(columns or {}), dict(units or {})
-        table = read_table(source, columns.values(), along="time", decimal=decimal)
+        table = read_table(source, columns.values(), along="time", decimal=decimal, at=at)
+        runs = runs_of(table, run)
+        if len(runs) > 1:
+            raise ValueError(
+                f"There are several runs: {listed(runs)}. Say which: run={next(iter(runs))!r}."
+            )
+        table = next(iter(runs.values()))
         found = _columns(table, quantity, columns)
         for key in units:
             if key not in found:

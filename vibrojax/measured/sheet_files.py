@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.measured.cells import number_in
+from vibrojax.measured.cells import is_empty, number_in
 from vibrojax.measured.groups import listed
 from vibrojax.measured.table import NoTable, Table
 
@@ -70,13 +70,11 @@ def _of_rows(rows: list[list[Any]], by_position: bool) -> Table:
     columns = zip(*(rows[k] for k in kept), strict=True) if kept else [()] * len(header)
     found = {name: _column(list(cells)) for name, cells in zip(header, columns, strict=True)}
     found = {
-        n: c for n, c in found.items() if c.size and not (n.startswith("column ") and _empty(c))
+        n: c
+        for n, c in found.items()
+        if c.size and not (n.startswith("column ") and is_empty(c).all())
     }
     return Table(found, {}, np.array(kept, int) + 1, "row", "", {})
-
-
-def _empty(column: np.ndarray) -> bool:
-    return column.dtype.kind == "f" and bool(np.isnan(column).all())
 
 
 def _column(cells: list[Any]) -> np.ndarray:
