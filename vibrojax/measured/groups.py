@@ -33,7 +33,8 @@ class Array(NamedTuple):
     """Where its values are along the axis, if the file says so."""
 
 
-Group = Mapping[str, "Array | Group"]
+Group = Mapping[str, Any]
+"""Arrays and further groups by name."""
 
 
 def listed(names: Iterable[str]) -> str:
@@ -68,13 +69,13 @@ def table_in(
             choices = "; ".join(f"{p or separator!r} ({listed(t)})" for p, t in tables.items())
             first = next(iter(tables)) or separator
             raise NoTable(f"holds {len(tables)} tables: {choices}. Say which: at={first!r}")
-        path, columns = next(iter(tables.items()), (path, dict(_all(found, "", separator))))
+        path, columns = next(iter(tables.items()), (path, _scattered(found, separator)))
     table = _table(columns, list(wanted), axis)
     notes = [f"Read from {path!r} in the file."] if path else []
     return table._replace(notes=(*notes, *table.notes))
 
 
-def _place(group: Group, at: str | int | None, separator: str) -> tuple[str, "Array | Group"]:
+def _place(group: Group, at: str | int | None, separator: str) -> tuple[str, Array | Group]:
     """Return the full path of what is at a path, and that."""
     path, found = "", group
     rest = "" if at is None else str(at).strip("/.")
@@ -197,6 +198,14 @@ def _all(group: Group, path: str, separator: str) -> Iterator[tuple[str, Array]]
             yield from _all(item, _joined(path, name, separator), separator)
 
 
+def _scattered(group: Group, separator: str) -> dict[str, Array]:
+    """Return the columns of all groups in one, by the last part of their paths if that is clear."""
+    found = dict(_all(group, "", separator))
+    short = {path: path.rpartition(separator)[2] for path in found}
+    counts = Counter(short.values())
+    return {n if counts[n] == 1 else path: found[path] for path, n in short.items()}
+
+
 def _table(columns: Mapping[str, Array], wanted: list[Any], axis: str) -> Table:
     """Return the table of the columns that are equally long, or that have clocks."""
     named = any(re.fullmatch(AXES[axis], split_header(name).words) for name in columns)
@@ -206,7 +215,8 @@ def _table(columns: Mapping[str, Array], wanted: list[Any], axis: str) -> Table:
     names = _equally_long(columns, wanted)
     units = {n: columns[n].unit for n in names}
     left = [n for n in columns if n not in names]
-    notes = [f"Left out, as they are not as long as {names[0]!r}: {listed(left)}."] if left else []
+    rows = columns[names[0]].shape[0]
+    notes = [f"Left out, as their length is not {rows}: {listed(left)}."] if left else []
     return _made({n: np.asarray(columns[n].read()) for n in names}, units, notes)
 
 

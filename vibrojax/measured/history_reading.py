@@ -95,7 +95,7 @@ def read_measured_history(
         runs = runs_of(table, run)
         for name, part in runs.items():
             where = f"{label}, {name}" if name else label
-            values, notes = _channels(part, columns, dict(units or {}), skip_unusable)
+            values, notes = read_channels(part, columns, dict(units or {}), skip_unusable)
             if frame is None and "acceleration" in values:
                 notes.append(
                     "The acceleration was taken to be relative to the base: give frame='absolute' "
@@ -124,7 +124,7 @@ def read_measured_history(
     return found if len(found) > 1 else found[0]
 
 
-def _channels(
+def read_channels(
     table: Table, columns: Mapping[str, str | int | None] | None, units: dict[str, str], skip: bool
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """Return time and channels in SI units, NaN where one was not sampled, and what to note."""

@@ -98,7 +98,11 @@ def read_drive(
 def _columns(table: Table, quantity: str, given: dict[str, Any]) -> dict[str, str]:
     """Return the columns of time and quantity, by key."""
     headers = {name: split_header(name) for name in table.columns}
-    forces = [n for n, h in headers.items() if re.fullmatch(ANY_FORCE, h.words) or _in_newtons(h)]
+    forces = [
+        n
+        for n, h in headers.items()
+        if re.fullmatch(ANY_FORCE, h.words) or _in_newtons(table.units.get(n) or h.unit)
+    ]
     patterns = dict(_PATTERNS)
     if quantity == "force":
         patterns = {"time": patterns["time"], "force": ANY_FORCE}
@@ -122,6 +126,6 @@ def _columns(table: Table, quantity: str, given: dict[str, Any]) -> dict[str, st
     return found
 
 
-def _in_newtons(header: Any) -> bool:
-    unit = None if header.unit is None else find_unit(header.unit)
+def _in_newtons(text: str | None) -> bool:
+    unit = None if text is None else find_unit(text)
     return unit is not None and UNITS[unit].kind == "force"
