@@ -57,7 +57,7 @@ GROUPS = {
         dict(columns=dict(displacement="slow")),
         "columns of different lengths|no column 'slow'",
     ),
-    "no such place": (run(), dict(at="run9"), "nothing at 'run9': there is no 'run9' .*Known: run1"),
+    "no such place": (run(), dict(at="run9"), "nothing at 'run9': there is no .*Known: run1"),
     "a place in an array": (run(), dict(at="run1/tip/x"), "no 'x' in 'run1.tip'"),
     "a place of an array": (run(), dict(at="run1/tip"), "no table at 'run1.tip' but an array of"),
     "a number for a place": (run(), dict(at=3), "holds nothing at 3"),
@@ -87,13 +87,13 @@ GROUPS = {
     ),
     "no sample": (run(tip=np.full(60, np.nan)), {}, "no usable row: row 1 .no sample."),
     "three dimensions": (run(time=None, tip=np.ones((3, 4, 5))), {}, "there is no array in it"),
-    "a nameless matrix": (run(time=None, tip=np.ones((60, 2))), {}, "No column for the time.*'tip 0'"),
+    "a nameless matrix": (run(time=None, tip=np.ones((60, 2))), {}, "No column for the time.*p 0'"),
     "no such column": (run(), dict(columns=dict(time="clock")), "no column 'clock' for time"),
     "no such position": (run(), dict(columns=dict(time=7)), "time must be a position from 0 to 1"),
     "no such key": (run(), dict(columns=dict(tip="tip")), "columns: unknown key 'tip'"),
     "no such run": (run(), dict(run="Run 1"), "no run='Run 1'. Its columns name no runs"),
     "a window without samples": (run(), dict(window=(5.0, 6.0)), "window must be .*with 0"),
-    "a deviation of nothing": (run(), dict(deviation=dict(force=1.0)), "there is no channel 'force'"),
+    "a deviation of nothing": (run(), dict(deviation=dict(force=1.0)), "no channel 'force'"),
 }  # fmt: skip
 RATES = {
     "a rate of zero": (run(time=None, fs=0.0), "says of 'tip' .* steps of inf s"),
@@ -159,24 +159,21 @@ def test_clocks_of_tdms_that_are_none(tmp_path, case):
 GOOD = [["t_s", "tip_mm"], *([0.1 * k, 1.5 + 0.25 * k] for k in range(9))]
 
 
-def rows(header=None, *places, **cells):
-    """The good table with another header, or cells in the row after next to the header."""
-    found = [list(row) for row in GOOD]
-    found[0] = header or found[0]
-    for (row, column), value in places:
-        found[row][column] = value
-    return found
+def rows(header):
+    """The good table with another header."""
+    return [header, *GOOD[1:]]
 
 
-def cell(value, row=2, column=1):
-    return rows(None, ((row, column), value))
+def cell(value, column=1):
+    """The good table with another cell in its third row."""
+    return [*GOOD[:2], [value if k == column else one for k, one in enumerate(GOOD[2])], *GOOD[3:]]
 
 
 WIDE = ["Run 1: t_s", "Run 1: tip_mm", "Run 2: t_s", "Run 2: tip_mm"]
 STRICT = dict(skip_unusable=False)
 TABLES = {
     "header alone": (history, GOOD[:1], {}, "no table of two columns|no usable row|is no table"),
-    "one column": (history, [row[:1] for row in GOOD], {}, "No column for the disp|no table of two"),
+    "one column": (history, [row[:1] for row in GOOD], {}, "No column for the d|no table"),
     "no header": (history, GOOD[1:], {}, "has no header: .*columns=dict"),
     "a name twice": (history, rows(["t_s", "t_s"]), {}, "has several columns named t_s"),
     "no time": (history, rows(["a", "tip_mm"]), {}, "No column for the time.*'a', 'tip_mm'"),
@@ -186,18 +183,17 @@ TABLES = {
     "unit of a force": (history, rows(["t_s", "tip [N]"]), dict(units={}), "Unit of .*got 'N'"),
     "unit of time": (history, rows(["t [h]", "tip_mm"]), {}, "Unit of time must .*got 'h'"),
     "two displacements": (
-        history, [[*r, r[1]] for r in rows(["t_s", "tip_mm"])][:1] and
-        [["t_s", "tip_mm", "y_mm"], *([*r, r[1]] for r in GOOD[1:])], {}, "may all be the disp",
+        history, [["t_s", "tip_mm", "y_mm"], *([*r, 1] for r in GOOD[1:])], {}, "all be the disp",
     ),
     "plain force": (history, rows(["t_s", "force_N"]), {}, "'force_N' may be the contact force"),
-    "text": (history, cell("oops"), STRICT, r"1 unusable row: .* 3 \(displacement is no number: 'oop"),
-    "an error of a formula": (history, cell("#DIV/0!"), STRICT, r"displacement is no number: '#DIV/0!'|too few"),
+    "text": (history, cell("oops"), STRICT, r"1 unusable row: .* 3 \(displacement is .*'oops'"),
+    "an error of a formula": (history, cell("#DIV/0!"), STRICT, r"3 \((no sample|.*'#DIV/0!')\)"),
     "no cell": (history, cell(None), STRICT, r"1 unusable row: .* 3 \(no sample\)"),
-    "no time in a row": (history, cell(None, 2, 0), STRICT, r"1 unusable row: .* 3 \(time is n"),
+    "no time in a row": (history, cell(None, 0), STRICT, r"1 unusable row: .* 3 \(time is n"),
     "infinite": (history, cell("inf"), STRICT, r"3 \(displacement is inf\)"),
     "complex": (history, cell("1+2j"), {}, r"'tip_mm' is complex \(1\+2j on .* 3\)"),
-    "falling time": (history, cell(5.0, 2, 0), {}, "time must rise, got 5 s then 0.2 s at index 2"),
-    "a time twice": (history, cell(0.0, 2, 0), {}, "time must rise, got 0 s then 0 s at index 1"),
+    "falling time": (history, cell(5.0, 0), {}, "time must rise, got 5 s then 0.2 s at index 2"),
+    "a time twice": (history, cell(0.0, 0), {}, "time must rise, got 0 s then 0 s at index 1"),
     "thousands or decimals": (
         history, [GOOD[0], *([k, f"{k},250"] for k in range(1, 9))], {}, "holds '1,250', which is",
     ),
@@ -216,9 +212,9 @@ TABLES = {
         force, [[h.replace("tip_mm", "force_N") for h in WIDE], *(row * 2 for row in GOOD[1:])], {},
         "There are several runs: 'Run 1', 'Run 2'. Say which: run='Run 1'",
     ),
-    "no such column": (history, GOOD, dict(columns=dict(time="clock")), "no column 'clock' for time"),
+    "no such column": (history, GOOD, dict(columns=dict(time="clock")), "no column 'clock' for"),
     "no such position": (history, GOOD, dict(columns=dict(time=9)), "a position from 0 to 1"),
-    "a name that is a number": (history, GOOD, dict(columns=dict(tip=1)), "unknown key 'tip'"),
+    "a name that is a number": (history, GOOD, dict(columns=dict(tip=1)), "key 'tip'"),
     "a history as a curve": (curve, GOOD, {}, "No column for the frequency.*'t_s'"),
     "negative amplitudes": (
         curve, [["f_Hz", "tip_mm"], *([k, -1.0] for k in range(1, 9))], {}, "looks like a signal",
@@ -250,49 +246,66 @@ def test_sheets_that_are_not_clear(tmp_path):
         (GOOD, {}, dict(at="run7"), "has no sheet at='run7'. Its sheets are 'run1'"),
         (GOOD, {"empty": []}, dict(at="empty"), "no table of two columns in 'empty'"),
         ([["only a title"]], {}, {}, "no table of two columns in 'run1'"),
-        (cell(day, 2, 0), {}, {}, "Column 't_s' for the time holds dates or durations"),
-        (cell(clock, 2, 0), {}, {}, "Column 't_s' for the time holds dates or durations"),
+        (cell(day, 0), {}, {}, "Column 't_s' for the time holds dates or durations"),
+        (cell(clock, 0), {}, {}, "Column 't_s' for the time holds dates or durations"),
     ):
         path = write_workbook(tmp_path / "a.xlsx", table, sheets)
         refused(history, path, sentence, units={}, **how)
 
 
-SPECTRUM = FRF | dict(x=np.linspace(5, 15, 40), data=np.linspace(1, 2, 40) + 0.5j)
-WAVE = RECORD | dict(x=TIME, data=TIP)
-HARMLESS = ("after", "record", "label")
+def frf(unit="mm", below="N", **fields):
+    """A frequency response."""
+    own = dict(x=np.linspace(5, 15, 40), data=np.linspace(1, 2, 40) + 0.5j)
+    units = dict(ordinate_axis_units_lab=unit, orddenom_axis_units_lab=below)
+    return FRF | units | own | fields
+
+
+def wave(unit="mm", kind=8, **fields):
+    """A time response of a kind of quantity, by its number."""
+    units = dict(ordinate_axis_units_lab=unit, ordinate_spec_data_type=kind)
+    return RECORD | units | dict(x=TIME, data=TIP) | fields
+
+
+SYSTEM = dict(type=164, units_code=1, length=1.0, force=1.0, temp=1.0, temp_offset=0.0)
+BARE = dict(units={})
 UNIVERSAL = {
-    "no function": (curve, [dict(type=164, units_code=1, length=1.0, force=1.0, temp=1.0, temp_offset=0.0)], {}, "no function .data set 58., but data sets 164"),
-    "two responses": (curve, [SPECTRUM, SPECTRUM], {}, "holds 2 functions of frequency.*at=1"),
-    "no such record": (curve, [SPECTRUM], dict(at=2), "no record at=2. Its records are 1: frequency"),
-    "a path for a record": (curve, [SPECTRUM], dict(at="a/b"), "no record at='a/b'"),
-    "a history as a curve": (curve, [WAVE], {}, "no function of frequency .*1: time response"),
-    "a record of time": (curve, [WAVE, SPECTRUM], dict(at=1), "record 1 a time response .* of freq"),
-    "a curve as a history": (history, [SPECTRUM], {}, "no function of time .*1: frequency response"),
-    "an auto spectrum": (curve, [SPECTRUM | dict(func_type=2)], {}, "1: auto spectrum"),
-    "a power density": (curve, [SPECTRUM | dict(func_type=9)], {}, "1: power spectral density"),
-    "a coherence": (curve, [SPECTRUM | dict(func_type=6)], {}, "1: coherence"),
-    "an orbit": (curve, [SPECTRUM | dict(func_type=17)], {}, "1: function of type 17"),
-    "over revolutions": (curve, [SPECTRUM | dict(abscissa_spec_data_type=19)], {}, "no function of f"),
-    "an unknown abscissa": (curve, [SPECTRUM | dict(func_type=0, abscissa_spec_data_type=1)], {}, "1: general"),
-    "frequencies in miles": (curve, [SPECTRUM | dict(abscissa_axis_units_lab="mi", ordinate_axis_units_lab="g")], {}, "frequencies in 'mi'"),
-    "an unknown unit": (curve, [SPECTRUM | dict(ordinate_axis_units_lab="ell")], {}, "'ell' over 'N'"),
-    "an unknown unit below": (curve, [SPECTRUM | dict(orddenom_axis_units_lab="lbf")], {}, "'mm' over 'lbf'"),
-    "nothing below": (curve, [SPECTRUM | dict(orddenom_axis_units_lab="NONE")], {}, "over 'mm'|over ''|'' over"),
-    "a force over a motion": (curve, [SPECTRUM | dict(ordinate_axis_units_lab="N", orddenom_axis_units_lab="mm")], {}, "units of a motion over"),
-    "over a voltage": (curve, [SPECTRUM | dict(orddenom_axis_units_lab="V")], {}, "a response over 'V'"),
-    "acceleration without unit": (curve, [SPECTRUM | dict(ordinate_spec_data_type=12, ordinate_axis_units_lab="NONE", orddenom_axis_units_lab="NONE")], {}, "acceleration over excitation force.*units of a motion"),
-    "displacement without unit": (curve, [SPECTRUM | dict(ordinate_axis_units_lab="NONE", orddenom_axis_units_lab="NONE")], {}, "says no unit of the amplitude"),
-    "a history without unit": (history, [WAVE | dict(ordinate_axis_units_lab="NONE")], dict(units={}), "'displacement' says no unit"),
-    "a history in ells": (history, [WAVE | dict(ordinate_axis_units_lab="ell")], dict(units={}), "got 'ell'"),
-    "times in ells": (history, [WAVE | dict(abscissa_axis_units_lab="ell")], {}, "Unit of time must .*got 'ell'"),
-    "the same record twice": (history, [WAVE, WAVE], {}, r"several records of displacement 3\+Z"),
-    "two displacements": (history, [WAVE, WAVE | dict(rsp_node=4)], {}, r"'displacement 4\+Z'"),
-    "an unknown quantity": (history, [WAVE | dict(ordinate_spec_data_type=0)], {}, "'record 1'"),
-    "a reaction": (history, [WAVE | dict(ordinate_spec_data_type=9, ordinate_axis_units_lab="N")], {}, "'force' may be the contact force"),
-    "falling time": (history, [WAVE | dict(x=TIME[::-1].copy())], {}, "times of 'displacement' that do not rise"),
-    "complex over time": (history, [WAVE | dict(data=TIP + 1j)], {}, "'displacement' is complex"),
-    "a drive of two forces": (force, [WAVE | dict(ordinate_spec_data_type=13, ordinate_axis_units_lab="N"), WAVE | dict(ordinate_spec_data_type=9, ordinate_axis_units_lab="N")], {}, "may all be the force"),
-    "a drive that is a motion": (force, [WAVE], {}, "No column for the force"),
+    "no function": (curve, [SYSTEM], {}, "no function .data set 58., but data sets 164"),
+    "two responses": (curve, [frf(), frf()], {}, "holds 2 functions of frequency.*at=1"),
+    "no such record": (curve, [frf()], dict(at=2), "no record at=2. Its records are 1: frequ"),
+    "a path for a record": (curve, [frf()], dict(at="a/b"), "no record at='a/b'"),
+    "a history as a curve": (curve, [wave()], {}, "no function of frequency .*1: time resp"),
+    "a record of time": (curve, [wave(), frf()], dict(at=1), "record 1 a time response .*freq"),
+    "a curve as a history": (history, [frf()], {}, "no function of time .*1: frequency resp"),
+    "an auto spectrum": (curve, [frf(func_type=2)], {}, "1: auto spectrum"),
+    "a power density": (curve, [frf(func_type=9)], {}, "1: power spectral density"),
+    "a coherence": (curve, [frf(func_type=6)], {}, "1: coherence"),
+    "an orbit": (curve, [frf(func_type=17)], {}, "1: function of type 17"),
+    "over revolutions": (curve, [frf(abscissa_spec_data_type=19)], {}, "no function of frequ"),
+    "over anything": (curve, [frf(func_type=0, abscissa_spec_data_type=1)], {}, "1: general"),
+    "in miles": (curve, [frf(abscissa_axis_units_lab="mi")], {}, "frequencies in 'mi'"),
+    "an unknown unit": (curve, [frf("ell")], {}, "'ell' over 'N'"),
+    "an unknown unit below": (curve, [frf("mm", "lbf")], {}, "'mm' over 'lbf'"),
+    "nothing below": (curve, [frf("mm", "NONE")], {}, "'' over 'mm'"),
+    "a force over a motion": (curve, [frf("N", "mm")], {}, "units of a motion over a force"),
+    "over a voltage": (curve, [frf("mm", "V")], {}, "a response over 'V'"),
+    "acceleration without a unit": (
+        curve, [frf("NONE", "NONE", ordinate_spec_data_type=12)], {},
+        "acceleration over excitation force.*units of a motion",
+    ),
+    "no unit": (curve, [frf("NONE", "NONE")], {}, "says no unit of the amplitude"),
+    "a history without unit": (history, [wave("NONE")], BARE, "'displacement' says no unit"),
+    "a history in ells": (history, [wave("ell")], BARE, "got 'ell'"),
+    "times in ells": (
+        history, [wave(abscissa_axis_units_lab="ell")], {}, "Unit of time must .*got 'ell'",
+    ),
+    "a record twice": (history, [wave(), wave()], {}, r"several records of displacement 3\+Z"),
+    "two places": (history, [wave(), wave(rsp_node=4)], {}, r"'displacement 4\+Z'"),
+    "an unknown quantity": (history, [wave(kind=0)], {}, "'record 1'"),
+    "a reaction": (history, [wave("N", 9)], {}, "'force' may be the contact force"),
+    "falling time": (history, [wave(x=TIME[::-1].copy())], {}, "of 'displacement' .*not rise"),
+    "complex over time": (history, [wave(data=TIP + 1j)], {}, "'displacement' is complex"),
+    "two forces": (force, [wave("N", 13), wave("N", 9)], {}, "may all be the force"),
+    "a motion for a force": (force, [wave()], {}, "No column for the force"),
 }  # fmt: skip
 
 
@@ -315,7 +328,7 @@ def test_universal_files_that_are_not_clear(tmp_path, case):
     ],
 )
 def test_damaged_universal_files(tmp_path, damage, sentence):
-    path = write_uff(tmp_path / "a.uff", [SPECTRUM])
+    path = write_uff(tmp_path / "a.uff", [frf()])
     path.write_bytes(damage(path.read_bytes()))
     refused(curve, path, sentence)
 
@@ -326,8 +339,8 @@ def written(folder):
         yield kind, write(folder / name, run()), history
     yield "csv", write_csv(folder / "a.csv", GOOD), history
     yield "workbook", write_workbook(folder / "a.xlsx", GOOD), history
-    yield "uff", write_uff(folder / "a.uff", [SPECTRUM]), curve
-    yield "uff 58b", write_uff(folder / "b.uff", [WAVE | dict(binary=1)]), history
+    yield "uff", write_uff(folder / "a.uff", [frf()]), curve
+    yield "uff 58b", write_uff(folder / "b.uff", [wave(binary=1)]), history
 
 
 @pytest.mark.parametrize("kind", [*WRITERS, "csv", "workbook", "uff", "uff 58b"])
@@ -343,13 +356,19 @@ def test_bytes_cut_off_or_changed_at_random(tmp_path, kind):
         else:
             damaged = damaged[: int(part * len(raw))]
         path.write_bytes(damaged.tobytes())
-        try:
-            read(path)
-        except ValueError as error:
-            refusals += 1
-            assert str(error).startswith("Measured ")
-            assert "\n" not in str(error)
+        told = outcome(read, path)
+        refusals += told is not None
+        assert told is None or (told.startswith("Measured ") and "\n" not in told)
     assert refusals >= 10
+
+
+def outcome(read, path):
+    """Return the sentence by which a file is refused; None where it is read."""
+    try:
+        read(path)
+    except ValueError as error:
+        return str(error)
+    return None
 
 
 @pytest.mark.parametrize("kind", [*WRITERS, "workbook", "uff"])

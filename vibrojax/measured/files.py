@@ -153,7 +153,8 @@ def _mat(asked: Asked) -> Table:
 
 def _tdms(asked: Asked) -> Table:
     nptdms = _library("nptdms", "npTDMS", asked.path)
-    with nptdms.TdmsFile.open(asked.path) as file:
+    # Given a path it leaves files open that it cannot read.
+    with asked.path.open("rb") as raw, nptdms.TdmsFile.open(raw) as file:
         return table_in(read_tdms(file), asked.at, asked.wanted, asked.axis, "/")
 
 

@@ -156,7 +156,7 @@ def _clock(group: Group) -> Clock | None:
         if words in _STEPS or words in _RATES:
             value = np.ravel(item.read())[0]
             if isinstance(value, str) or not np.isrealobj(value):
-                raise NoTable(f"holds no number in {name!r} but {value!r}")
+                raise NoTable(f"holds no number in {name!r} but {str(value)!r}")
             with np.errstate(divide="ignore"):
                 step = float(value) if words in _STEPS else float(np.divide(1.0, value))
             known = _STEPS.get(words, "s")
@@ -257,7 +257,7 @@ def _equally_long(columns: Mapping[str, Array], wanted: list[Any]) -> list[str]:
         )
     asked = [w for w in wanted if w in columns]
     lengths = {columns[name].shape[0] for name in asked} or set(several)
-    if len(lengths) > 1:
+    if len(lengths) > 1 or not lengths <= set(several):
         example = next(iter(several.values()))[0]
         raise NoTable(
             f"holds columns of different lengths. By length, {there}. Those of a table must be "

@@ -23,6 +23,8 @@ _KINDS = {
     12: "spectrum",
 }
 _FITTING = {"time": (0, 1), "frequency": (0, 4, 5, 12)}
+_GENERAL = (0, 1)
+"""Specific data types that say nothing."""
 _QUANTITIES = {
     8: "displacement",
     9: "force",  # of a reaction: whether it is the contact force is asked
@@ -91,7 +93,9 @@ class _Record:
         self.number, self._file, self._place = number, file, place
         self.fields = self._read(header_only=True)
         self.kind = int(self.fields["func_type"])
-        self.along = _QUANTITIES.get(self.fields["abscissa_spec_data_type"])
+        along = self.fields["abscissa_spec_data_type"]
+        usual = {1: "time"}.get(self.kind, "frequency" if self.kind else None)
+        self.along = _QUANTITIES.get(along) if along not in _GENERAL else usual
         self.quantity = _QUANTITIES.get(self.fields["ordinate_spec_data_type"])
         self.over = _QUANTITIES.get(self.fields["orddenom_spec_data_type"])
 
@@ -126,8 +130,7 @@ class _Record:
 
     def fits(self, axis: str) -> bool:
         """Whether this is a function of `time` or `frequency` that can be read."""
-        along = self.along or ("time" if self.kind == 1 else "frequency" if self.kind else None)
-        return self.kind in _FITTING[axis] and along == axis
+        return self.kind in _FITTING[axis] and self.along == axis
 
     def unit(self, part: str, quantity: str | None, factors: dict[str, Any] | None) -> str | None:
         """Return the unit of a part, as its label says it, or in the units of data set 164."""
