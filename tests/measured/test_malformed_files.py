@@ -206,7 +206,7 @@ TABLES = {
         "several columns t_s in Run 1",
     ),
     "a run without samples": (
-        history, [WIDE, *([*row, None, None] for row in GOOD[1:])], {}, "Run 2': There is no usable",
+        history, [WIDE, *([*row, None, None] for row in GOOD[1:])], {}, "Run 2': There is no us",
     ),
     "several runs of a drive": (
         force, [[h.replace("tip_mm", "force_N") for h in WIDE], *(row * 2 for row in GOOD[1:])], {},

@@ -26,7 +26,7 @@ def read_sheet(workbook: Any, at: str | int | None, by_position: bool) -> Table:
         name: workbook.get_sheet_by_name(name).to_python(skip_empty_area=False)
         for name in ([str(at)] if at is not None else sheets)
     }
-    tables = [name for name, own in rows.items() if sum(len(_filled(row)) > 1 for row in own) > 1]
+    tables = [name for name, own in rows.items() if sum(_count(row) > 1 for row in own) > 1]
     if len(tables) > 1:
         raise NoTable(f"has {len(tables)} sheets: {listed(tables)}. Say which: at={tables[0]!r}")
     if not tables:
@@ -36,14 +36,15 @@ def read_sheet(workbook: Any, at: str | int | None, by_position: bool) -> Table:
     return table._replace(notes=notes)
 
 
-def _filled(row: list[Any]) -> list[Any]:
-    return [cell for cell in row if str(cell).strip()]
+def _count(row: list[Any]) -> int:
+    """Number of cells of a row that are not empty."""
+    return len(row) - row.count("")
 
 
 def _of_rows(rows: list[list[Any]], by_position: bool) -> Table:
-    first = next(k for k, row in enumerate(rows) if len(_filled(row)) > 1)
+    first = next(k for k, row in enumerate(rows) if _count(row) > 1)
     header = [str(cell).strip() for cell in rows[first]]
-    if all(number_in(cell) is not None for cell in _filled(rows[first])):
+    if all(number_in(cell) is not None for cell in rows[first] if cell != ""):
         if not by_position:
             raise NoTable(
                 f"has no header: row {first + 1} is numbers. Give the columns by position, counted "
@@ -53,27 +54,24 @@ def _of_rows(rows: list[list[Any]], by_position: bool) -> Table:
     elif "" in header and first + 1 < len(rows):
         below = rows[first + 1]
         is_text = all(isinstance(c, str) and number_in(c) is None for c in below)
-        if is_text and len(_filled(below)) > len(_filled(header)):
+        if is_text and _count(below) > _count(header):
             run = ""
             for k, name in enumerate(below):
                 run = header[k] or run
                 header[k] = f"{run}: {name.strip()}" if run else name.strip()
             first += 1
-    header = [name or f"column {k}" for k, name in enumerate(header)]
+    given, header = header, [name or f"column {k}" for k, name in enumerate(header)]
     double = sorted({name for name in header if header.count(name) > 1})
     if double:
         raise NoTable(
             f"has several columns named {', '.join(double)}. Where they are runs side by side, "
             "name them so: 'Run 1: Time (s)'"
         )
-    kept = [k for k in range(first + 1, len(rows)) if _filled(rows[k])]
+    kept = [k for k in range(first + 1, len(rows)) if _count(rows[k])]
     columns = zip(*(rows[k] for k in kept), strict=True) if kept else [()] * len(header)
     found = {name: _column(list(cells)) for name, cells in zip(header, columns, strict=True)}
-    found = {
-        n: c
-        for n, c in found.items()
-        if c.size and not (n.startswith("column ") and is_empty(c).all())
-    }
+    nameless = {f"column {k}" for k, name in enumerate(given) if not name}
+    found = {n: c for n, c in found.items() if n not in nameless or not is_empty(c).all()}
     return Table(found, {}, np.array(kept, int) + 1, "row", "", {})
 
 
