@@ -41,8 +41,8 @@ def changed(values, value, place=5):
 
 LATE = {"t2": TIME[:20], "y2": TIP[:20]}
 GROUPS = {
-    "nothing at all": ({"run1": {}}, {}, "holds no two columns .*: there is no array in it"),
-    "single values": (run(time=TIME[:1], tip=TIP[:1]), {}, "no array in it"),
+    "nothing at all": ({"run1": {}}, {}, "holds no array"),
+    "single values": (run(time=TIME[:1], tip=TIP[:1]), {}, "holds no array"),
     "time alone": (run(tip=None), {}, "no two columns of equal length, .* 60: 'time'"),
     "of other lengths": (run(tip=TIP[:50]), {}, "60: 'time'; 50: 'tip'|50: 'tip'; 60: 'time'"),
     "two tables": (run() | {"run2": run()["run1"]}, {}, "holds 2 tables: 'run1' .*at='run1'"),
@@ -86,7 +86,7 @@ GROUPS = {
         r"1 unusable row: row 6 \(displacement is inf\)",
     ),
     "no sample": (run(tip=np.full(60, np.nan)), {}, "no usable row: row 1 .no sample."),
-    "three dimensions": (run(time=None, tip=np.ones((3, 4, 5))), {}, "there is no array in it"),
+    "three dimensions": (run(time=None, tip=np.ones((3, 4, 5))), {}, "holds no array"),
     "a nameless matrix": (run(time=None, tip=np.ones((60, 2))), {}, "No column for the time.*p 0'"),
     "no such column": (run(), dict(columns=dict(time="clock")), "no column 'clock' for time"),
     "no such position": (run(), dict(columns=dict(time=7)), "time must be a position from 0 to 1"),

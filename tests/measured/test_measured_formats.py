@@ -87,6 +87,15 @@ def test_deep_groups_matrices_rates_and_scattered_arrays(tmp_path, kind):
     assert_allclose(scattered.displacement, 1e-3 * TIP)
 
 
+def test_objects_of_matlab_are_named(tmp_path):
+    path = written_files.write_mat_73(tmp_path / "a.mat", {"table": np.arange(6), "other": TIME})
+    with h5py.File(path, "r+") as file:
+        file["table"].attrs["MATLAB_object_decode"] = 3
+        del file["other"]
+    with pytest.raises(ValueError, match="holds no array but 'table', empty or of a kind that"):
+        history(path)
+
+
 def test_arrays_of_structs_and_cells(tmp_path):
     runs = [{"t": TIME, "tip_mm": k * TIP} for k in (1, 2)]
     both = np.array(runs, dtype=object)

@@ -129,9 +129,8 @@ def _netcdf_3(asked: Asked) -> Table:
 def _netcdf(asked: Asked, engine: str) -> Table:
     import xarray
 
-    group = None if asked.at is None else str(asked.at).replace(".", "/")
     # Times stay numbers: xarray would make durations of "seconds".
-    with xarray.open_dataset(asked.path, engine=engine, decode_times=False, group=group) as file:
+    with xarray.open_dataset(asked.path, engine=engine, decode_times=False) as file:
         dataset = file.load()
     return of_dataset(dataset, asked.wanted, asked.along)
 
@@ -140,7 +139,8 @@ def _hdf(asked: Asked) -> Table:
     import h5py
 
     with h5py.File(asked.path, "r") as file:
-        if is_netcdf(file):
+        on_top = any(isinstance(item, h5py.Dataset) for item in file.values())
+        if asked.at is None and on_top and is_netcdf(file):
             return _netcdf(asked, "h5netcdf")
         matlab = read_bytes("File", asked.path, first=6) == b"MATLAB"
         return table_in(read_hdf(file), asked.at, asked.wanted, asked.axis, "." if matlab else "/")
@@ -160,8 +160,9 @@ def _tdms(asked: Asked) -> Table:
 
 def _workbook(asked: Asked) -> Table:
     calamine = _library("python_calamine", "python-calamine", asked.path)
-    workbook = calamine.CalamineWorkbook.from_path(str(asked.path))
-    table = with_units_row(read_sheet(workbook, asked.at, asked.by_position))
+    with asked.path.open("rb") as raw:
+        workbook = calamine.CalamineWorkbook.from_filelike(raw)
+        table = with_units_row(read_sheet(workbook, asked.at, asked.by_position))
     texts = [joined(column) for column in table.columns.values() if column.dtype.kind in "OUT"]
     signs = asked.decimal or decimal_signs("\n".join(texts))
     return with_signs(table, signs, asked.decimal)

@@ -70,6 +70,8 @@ def table_in(
             first = next(iter(tables)) or separator
             raise NoTable(f"holds {len(tables)} tables: {choices}. Say which: at={first!r}")
         path, columns = next(iter(tables.items()), (path, _scattered(found, separator)))
+        if not columns:
+            raise NoTable("holds no array" + _unread(found))
     table = _table(columns, list(wanted), axis)
     notes = [f"Read from {path!r} in the file."] if path else []
     return table._replace(notes=(*notes, *table.notes))
@@ -198,6 +200,17 @@ def _all(group: Group, path: str, separator: str) -> Iterator[tuple[str, Array]]
             yield from _all(item, _joined(path, name, separator), separator)
 
 
+def _unread(group: Group) -> str:
+    """Say which arrays of a group are empty, or cannot be read."""
+    names = [n for n, item in group.items() if isinstance(item, Array) and 0 in item.shape]
+    if not names:
+        return ""
+    return (
+        f" but {listed(names)}, empty or of a kind that cannot be read, such as MATLAB's tables "
+        "and timeseries: save their columns as arrays"
+    )
+
+
 def _scattered(group: Group, separator: str) -> dict[str, Array]:
     """Return the columns of all groups in one, by the last part of their paths if that is clear."""
     found = dict(_all(group, "", separator))
@@ -251,10 +264,7 @@ def _equally_long(columns: Mapping[str, Array], wanted: list[Any]) -> list[str]:
     there = "; ".join(f"{length}: {listed(names)}" for length, names in of_length.items())
     several = {length: names for length, names in of_length.items() if len(names) > 1}
     if not several:
-        raise NoTable(
-            "holds no two columns of equal length"
-            + (f", but, by length, {there}" if there else ": there is no array in it")
-        )
+        raise NoTable(f"holds no two columns of equal length, but, by length, {there}")
     asked = [w for w in wanted if w in columns]
     lengths = {columns[name].shape[0] for name in asked} or set(several)
     if len(lengths) > 1 or not lengths <= set(several):

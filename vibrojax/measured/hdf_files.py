@@ -80,7 +80,7 @@ def _referred(name: str, item: Any, above: tuple[Any, ...]) -> dict[str, Any]:
 
 def _items(name: str, item: "h5py.Dataset", above: tuple[Any, ...]) -> dict[str, Any]:
     """Return what goes into a group for a dataset: its columns, or its cells, if it has any."""
-    if item.shape is None or "MATLAB_empty" in item.attrs:
+    if item.shape is None or {"MATLAB_empty", "MATLAB_object_decode"} & {*item.attrs}:
         return {name: Array((0,), lambda: None)}
     if _refers(item):
         cells = [item.file[reference] for reference in np.ravel(item[()]) if reference]

@@ -163,6 +163,13 @@ def read_channels(
         notes.append(left_out)
     values = {key: column[keep] for key, column in values.items()}
     gaps = {key: int(np.isnan(column).sum()) for key, column in values.items()}
+    force = values.get("contact_force", np.zeros(1))
+    force = force[np.isfinite(force)]
+    if force.size and force.min() < -force.max():
+        notes.append(
+            f"The contact force goes down to {force.min():g} N, and up to {force.max():g} N: in "
+            "contact it is positive here."
+        )
     rows = int(keep.sum())
     notes += [f"{key} was sampled in {rows - n} of {rows} rows." for key, n in gaps.items() if n]
     return values, notes
