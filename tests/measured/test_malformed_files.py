@@ -1,5 +1,6 @@
 """Files that are damaged, or can be read in two ways: a sentence that names what is wrong."""
 
+import contextlib
 import datetime
 
 import numpy as np
@@ -8,6 +9,7 @@ import written_files
 from written_files import FRF, RECORD, write_csv, write_uff, write_workbook
 
 from vibrojax.io import read_drive, read_measured_curve, read_measured_history
+from vibrojax.measured.mat_files import read_mat
 
 TIME = 1e-3 * np.arange(60)
 TIP = np.sin(40 * TIME)
@@ -360,6 +362,15 @@ def test_bytes_cut_off_or_changed_at_random(tmp_path, kind):
         refusals += told is not None
         assert told is None or (told.startswith("Measured ") and "\n" not in told)
     assert refusals >= 10
+
+
+def test_a_damaged_mat_file_does_not_crash_scipy(tmp_path):
+    tree = {"run1": {"tip": (TIP[:3] + 1j, "mm"), "text": "wet"}, "cell": np.array([1, "a"], "O")}
+    raw = written_files.write_mat(tmp_path / "a.mat", tree).read_bytes()
+    for place in range(128, len(raw)):
+        for value in (5, 8, 200):
+            with contextlib.suppress(Exception):
+                read_mat(raw[:place] + bytes([value]) + raw[place + 1 :])
 
 
 def outcome(read, path):

@@ -147,8 +147,8 @@ def _hdf(asked: Asked) -> Table:
 
 
 def _mat(asked: Asked) -> Table:
-    with asked.path.open("rb") as file:
-        return table_in(read_mat(file), asked.at, asked.wanted, asked.axis, ".")
+    held = read_mat(read_bytes("File", asked.path))
+    return table_in(held, asked.at, asked.wanted, asked.axis, ".")
 
 
 def _tdms(asked: Asked) -> Table:
