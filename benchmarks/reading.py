@@ -81,9 +81,8 @@ def write_histories(folder: Path, rows: int) -> list[Path]:
 
 
 def reduced(path: Path) -> None:
-    """Read a history, or the channels of two, and estimate the noise."""
-    motion = {} if "gaps" not in path.name else dict(displacement=None)
-    read = vj.io.read_measured_history(path, frequency=10.0, columns=motion)
+    """Read a history, or two, and estimate the noise of the channels."""
+    read = vj.io.read_measured_history(path, frequency=10.0)
     for history in read if isinstance(read, list) else [read]:
         history.noise()
 

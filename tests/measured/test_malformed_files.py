@@ -88,6 +88,11 @@ GROUPS = {
         r"1 unusable row: row 6 \(displacement is inf\)",
     ),
     "no sample": (run(tip=np.full(60, np.nan)), {}, "no usable row: row 1 .no sample."),
+    "a channel without samples": (
+        run(acceleration_g=np.full(60, np.nan)),
+        {},
+        "Column 'acceleration_g' holds no acceleration. Leave it out",
+    ),
     "three dimensions": (run(time=None, tip=np.ones((3, 4, 5))), {}, "holds no array"),
     "a nameless matrix": (run(time=None, tip=np.ones((60, 2))), {}, "No column for the time.*p 0'"),
     "no such column": (run(), dict(columns=dict(time="clock")), "no column 'clock' for time"),

@@ -13,8 +13,6 @@ from written_files import FRF, RECORD, write_csv, write_uff, write_workbook
 
 import vibrojax as vj
 from vibrojax.io import read_drive, read_measured_curve, read_measured_history
-from vibrojax.measured.history_reading import read_channels
-from vibrojax.measured.runs import runs_of
 from vibrojax.measured.tables import read_table
 
 TIME = 1e-3 * np.arange(200)
@@ -132,14 +130,13 @@ def test_channels_of_tdms_on_clocks_of_their_own(tmp_path):
     late = clock | dict(wf_start_time=np.datetime64("2024-05-01T10:00:00.004000"))
     run = {"tip": (TIP, "mm", clock), "acc": (TIP[:49], "g", late | dict(wf_increment=4e-3))}
     path = written_files.write_tdms(tmp_path / "a.tdms", {"run": run})
-    table = read_table(path, along="time")
-    assert_allclose(table.columns["time"], TIME, atol=1e-12)
-    assert_allclose(table.columns["tip"], TIP)
-    sampled = np.flatnonzero(np.isfinite(table.columns["acc"]))
+    read = history(path)
+    assert_allclose(read.time, TIME, atol=1e-12)
+    assert_allclose(read.displacement, 1e-3 * TIP)
+    sampled = np.flatnonzero(np.isfinite(read.acceleration))
     assert_array_equal(sampled, 4 + 4 * np.arange(49))
-    assert said(table.notes, "clocks of their own ('tip' 200, 'acc' 49 samples of 200)")
-    alone = history(path, columns=dict(acceleration=None))
-    assert_allclose(alone.displacement, 1e-3 * TIP)
+    assert said(read.notes, "clocks of their own ('tip' 200, 'acc' 49 samples of 200)")
+    assert history(path, columns=dict(acceleration=None)).size == 200
 
 
 ROWS = [["Run 1: Time (s)", "Run 1: Force (N)", "Run 1: Position (m)"]]
@@ -173,18 +170,23 @@ def test_runs_side_by_side(tmp_path, name, write):
 
 @pytest.mark.parametrize(("name", "write"), [("a.csv", write_csv), ("a.xlsx", write_workbook)])
 def test_slower_channels_have_gaps(tmp_path, name, write):
-    table = read_table(write(tmp_path / name, ROWS), along="time")
-    runs = runs_of(table, None)
-    values, notes = read_channels(runs["Latest"], dict(contact_force="Force (N)"), {}, True)
-    assert_array_equal(np.flatnonzero(np.isfinite(values["displacement"])), 4 * np.arange(5))
-    assert np.isfinite(values["contact_force"]).all()
-    assert "displacement was sampled in 5 of 20 rows." in notes
+    path = write(tmp_path / name, ROWS)
+    columns = dict(contact_force="Force (N)")
+    how = dict(initial_velocity=0.1, gain=dict(contact_force=-1.0), run="Latest")
+    read = read_measured_history(path, columns=columns, **how)
+    assert_array_equal(np.flatnonzero(np.isfinite(read.displacement)), 4 * np.arange(5))
+    assert np.isfinite(read.contact_force).all()
+    assert "displacement was sampled in 5 of 20 rows." in read.notes
+    assert not said(read.notes, "positive in contact here")
+    plain = history(path, columns=columns, run="Latest")
+    assert said(plain.notes, "The contact force goes down to -4.75 N: it is positive in contact")
+    assert (read.gain, read.initial_velocity) == (dict(contact_force=-1.0), 0.1)
     # Without the force, rows without a position hold nothing.
-    values, notes = read_channels(runs["Latest"], dict(contact_force=None), {}, True)
-    assert_allclose(values["displacement"], 0.08 * np.arange(5))
-    assert said(notes, "15 unusable rows left out: ")
+    alone = dict(columns=dict(contact_force=None), run="Latest")
+    assert_allclose(history(path, **alone).displacement, 0.08 * np.arange(5))
+    assert said(history(path, **alone).notes, "15 unusable rows left out: ")
     with pytest.raises(ValueError, match=r"15 unusable rows: .* 3 \(no sample\)"):
-        read_channels(runs["Latest"], dict(contact_force=None), {}, False)
+        history(path, **alone, skip_unusable=False)
 
 
 def test_names_of_runs_behind_the_names_of_columns(tmp_path):

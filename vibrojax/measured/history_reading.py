@@ -47,7 +47,12 @@ def read_measured_history(
     frequency: float | None = None,
     frequency_ratio: float | None = None,
     release: float | None = None,
+    initial_displacement: float | None = None,
+    initial_velocity: float | None = None,
     waveform: Sampled | None = None,
+    gain: Mapping[str, float] | None = None,
+    offset: Mapping[str, float] | None = None,
+    delay: Mapping[str, float] | None = None,
     position: float | None = None,
     frame: str | None = None,
     window: tuple[float, float] | None = None,
@@ -73,7 +78,12 @@ def read_measured_history(
         frequency: drive frequency, Hz.
         frequency_ratio: instead, drive frequency over the first natural one.
         release: displacement of the tip (m) from which the beam is let go at rest.
+        initial_displacement: of what the system reports when the motion begins, m.
+        initial_velocity: the same of its velocity, m/s.
         waveform: the drive as measured, on the same clock, such as `vj.io.read_drive` returns.
+        gain: of the sensors, by channel: measured = gain times what is there + offset.
+        offset: of the sensors, by channel, in SI units.
+        delay: by how much the clocks of channels are late, s.
         position: place x/L of the sensor; None: the tip.
         frame: `relative` to the moving base, or `absolute`; None: relative.
         window: start and end (s) of the samples that count; None: all.
@@ -95,7 +105,13 @@ def read_measured_history(
         runs = runs_of(table, run)
         for name, part in runs.items():
             where = f"{label}, {name}" if name else label
-            values, notes = read_channels(part, columns, dict(units or {}), skip_unusable)
+            values, notes = _channels(part, columns, dict(units or {}), skip_unusable)
+            force = values.get("contact_force", np.zeros(1))
+            if "contact_force" not in (gain or {}) and np.nanmin(force) < -np.nanmax(force):
+                notes.append(
+                    f"The contact force goes down to {np.nanmin(force):g} N: it is positive in "
+                    "contact here, so that a sensor that turns it has gain=dict(contact_force=-1)."
+                )
             if frame is None and "acceleration" in values:
                 notes.append(
                     "The acceleration was taken to be relative to the base: give frame='absolute' "
@@ -108,7 +124,12 @@ def read_measured_history(
                     frequency=frequency,
                     frequency_ratio=frequency_ratio,
                     release=release,
+                    initial_displacement=initial_displacement,
+                    initial_velocity=initial_velocity,
                     waveform=waveform,
+                    gain=dict(gain or {}),
+                    offset=dict(offset or {}),
+                    delay=dict(delay or {}),
                     position=position,
                     frame=frame or "relative",
                     window=window,
@@ -124,7 +145,7 @@ def read_measured_history(
     return found if len(found) > 1 else found[0]
 
 
-def read_channels(
+def _channels(
     table: Table, columns: Mapping[str, str | int | None] | None, units: dict[str, str], skip: bool
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """Return time and channels in SI units, NaN where one was not sampled, and what to note."""
@@ -162,14 +183,13 @@ def read_channels(
     if left_out:
         notes.append(left_out)
     values = {key: column[keep] for key, column in values.items()}
-    gaps = {key: int(np.isnan(column).sum()) for key, column in values.items()}
-    force = values.get("contact_force", np.zeros(1))
-    force = force[np.isfinite(force)]
-    if force.size and force.min() < -force.max():
-        notes.append(
-            f"The contact force goes down to {force.min():g} N, and up to {force.max():g} N: in "
-            "contact it is positive here."
+    bare = [key for key, column in values.items() if np.isnan(column).all()]
+    if bare:
+        raise ValueError(
+            f"Column {found[bare[0]]!r} holds no {bare[0]}. Leave it out: "
+            f"columns=dict({bare[0]}=None)."
         )
+    gaps = {key: int(np.isnan(column).sum()) for key, column in values.items()}
     rows = int(keep.sum())
     notes += [f"{key} was sampled in {rows - n} of {rows} rows." for key, n in gaps.items() if n]
     return values, notes
