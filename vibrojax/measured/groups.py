@@ -10,10 +10,8 @@ import numpy as np
 from vibrojax._tools.checks import nearest
 from vibrojax.measured.clocks import Clock, side_by_side
 from vibrojax.measured.table import NoTable, Table
-from vibrojax.measured.units import split_header
+from vibrojax.measured.units import AXES, split_header
 
-AXES = {"time": "time|t", "frequency": "(?:frequency|freq|f)(?:hz)?|hz|omega"}
-"""Names of the column that a table goes along."""
 _VALUES = ("values", "value", "data")
 _UNIT = ("unit", "units")
 _STEPS = {"dt": "s", "deltat": "s", "timestep": "s", "samplinginterval": "s", "sampletime": "s"}

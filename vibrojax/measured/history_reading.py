@@ -23,11 +23,11 @@ from vibrojax.measured.history import CHANNELS, MeasuredHistory
 from vibrojax.measured.runs import runs_of
 from vibrojax.measured.table import Table
 from vibrojax.measured.tables import read_table
-from vibrojax.measured.units import UNITS
+from vibrojax.measured.units import AXES, UNITS
 from vibrojax.model.signals import Sampled
 
 _PATTERNS = {
-    "time": "time|t",
+    "time": AXES["time"],
     "displacement": "(?:tip|beam)?(?:displacement|disp|deflection|position)|tip|y",
     "velocity": "(?:tip|beam)?(?:velocity|vel)",
     "acceleration": "(?:tip|beam)?(?:acceleration|accel|acc)",

@@ -19,11 +19,11 @@ from vibrojax.measured.groups import listed
 from vibrojax.measured.runs import runs_of
 from vibrojax.measured.table import Table
 from vibrojax.measured.tables import read_table
-from vibrojax.measured.units import UNITS, find_unit, split_header
+from vibrojax.measured.units import AXES, UNITS, find_unit, split_header
 from vibrojax.model.signals import Sampled
 
 _PATTERNS = {
-    "time": "time|t",
+    "time": AXES["time"],
     "acceleration": "(?:base|drive|table|shaker|input)?(?:acceleration|accel|acc)",
 }
 _QUANTITIES = {"acceleration": "m/s2", "force": "N"}

@@ -6,9 +6,8 @@ import numpy as np
 
 from vibrojax._tools.checks import nearest
 from vibrojax.measured.cells import is_empty
-from vibrojax.measured.groups import AXES
 from vibrojax.measured.table import Table
-from vibrojax.measured.units import split_header
+from vibrojax.measured.units import AXES, split_header
 
 _WORD = r"(?:run|test|trial|sweep|measurement|series|data ?set|latest)\b"
 _BEFORE = re.compile(r"(?P<run>[^:]*[^:\s])\s*:\s*(?P<name>[^:]*[^:\s])\s*")
