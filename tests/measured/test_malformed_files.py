@@ -305,6 +305,9 @@ UNIVERSAL = {
     "times in ells": (
         history, [wave(abscissa_axis_units_lab="ell")], {}, "Unit of time must .*got 'ell'",
     ),
+    "two clocks": (
+        history, [wave(), wave("N", 13, abscissa_axis_units_lab="ms")], {}, "times in 's', 'ms'",
+    ),
     "a record twice": (history, [wave(), wave()], {}, r"several records of displacement 3\+Z"),
     "two places": (history, [wave(), wave(rsp_node=4)], {}, r"'displacement 4\+Z'"),
     "an unknown quantity": (history, [wave(kind=0)], {}, "'record 1'"),

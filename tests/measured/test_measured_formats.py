@@ -81,6 +81,8 @@ def test_deep_groups_matrices_rates_and_scattered_arrays(tmp_path, kind):
     sampled = history(write(path, {"fs": 1000.0, "tip": (TIP, "m")}))
     assert_allclose(sampled.time, TIME)
     assert said(sampled.notes, "The time was made of steps of 0.001 s that the file says.")
+    kilohertz = history(write(path, {"fs_kHz": 1.0, "tip": (TIP, "m")}))
+    assert_allclose(kilohertz.time, TIME)
     scattered = history(write(path, {"t": TIME, "signals": {"tip_mm": TIP, "gain": 3.0}}))
     assert_allclose(scattered.displacement, 1e-3 * TIP)
 

@@ -56,7 +56,8 @@ def side_by_side(
     if all(np.array_equal(first, places) for places, _ in others):
         return first, {name: values for name, (_, values) in columns.items()}, None
     start = min(places[0] for places, _ in columns.values())
-    step = min(np.diff(places).min() for places, _ in columns.values() if len(places) > 1)
+    steps = [np.diff(places).min() for places, _ in columns.values() if len(places) > 1]
+    step = min(steps, default=1.0)
     ticks = {
         name: np.round((places - start) / (_SAME * step)) for name, (places, _) in columns.items()
     }

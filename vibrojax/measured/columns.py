@@ -16,8 +16,7 @@ from vibrojax.measured.cells import (
     numbers_in,
     with_points,
 )
-from vibrojax.measured.groups import listed
-from vibrojax.measured.table import Table
+from vibrojax.measured.table import Table, listed
 from vibrojax.measured.units import UNITS, find_unit, split_header, unit_named
 
 CONTACT_FORCE = "(?:max|maximum|peak|largest)?(?:contact|impact)force"

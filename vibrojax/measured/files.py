@@ -62,7 +62,7 @@ def table_of_file(
     kind, reader = _reader(path.suffix.lower(), start)
     asked = Asked(path, wanted, along, decimal, at)
     try:
-        if at is not None and reader in (_text, _netcdf_3):
+        if at is not None and reader in (_text, _netcdf):
             raise NoTable(f"has one table, as {kind}: leave out at={at!r}")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what readers say of files that they then read
@@ -81,7 +81,7 @@ def _reader(suffix: str, start: bytes) -> tuple[str, Callable[[Asked], Table]]:
     if start.startswith((b"MATLAB 7.3", _HDF)) or start[512:516] == _HDF:
         return "HDF5", _hdf
     if start.startswith(b"CDF") or suffix in (".nc", ".nc4"):
-        return "NetCDF", _netcdf_3
+        return "NetCDF", _netcdf
     if suffix in (".h5", ".hdf5", ".hdf"):
         return "HDF5", _hdf
     if start.startswith(b"MATLAB ") or suffix == ".mat":
@@ -121,13 +121,10 @@ def _compressed(asked: Asked) -> Table:
     raise NoTable("is not text but compressed: unpack it")
 
 
-def _netcdf_3(asked: Asked) -> Table:
-    engine = "scipy" if read_bytes("File", asked.path, first=3) == b"CDF" else "h5netcdf"
-    return _netcdf(asked, engine)
-
-
-def _netcdf(asked: Asked, engine: str) -> Table:
+def _netcdf(asked: Asked) -> Table:
     import xarray
+
+    engine = "scipy" if read_bytes("File", asked.path, first=3) == b"CDF" else "h5netcdf"
 
     # Times stay numbers: xarray would make durations of "seconds".
     with xarray.open_dataset(asked.path, engine=engine, decode_times=False) as file:
@@ -141,7 +138,7 @@ def _hdf(asked: Asked) -> Table:
     with h5py.File(asked.path, "r") as file:
         on_top = any(isinstance(item, h5py.Dataset) for item in file.values())
         if asked.at is None and on_top and is_netcdf(file):
-            return _netcdf(asked, "h5netcdf")
+            return _netcdf(asked)
         matlab = read_bytes("File", asked.path, first=6) == b"MATLAB"
         return table_in(read_hdf(file), asked.at, asked.wanted, asked.axis, "." if matlab else "/")
 

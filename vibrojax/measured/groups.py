@@ -9,14 +9,13 @@ import numpy as np
 
 from vibrojax._tools.checks import nearest
 from vibrojax.measured.clocks import Clock, side_by_side
-from vibrojax.measured.table import NoTable, Table
-from vibrojax.measured.units import AXES, split_header
+from vibrojax.measured.table import NoTable, Table, listed, table_of
+from vibrojax.measured.units import AXES, UNITS, find_unit, split_header
 
 _VALUES = ("values", "value", "data")
 _UNIT = ("unit", "units")
-_STEPS = {"dt": "s", "deltat": "s", "timestep": "s", "samplinginterval": "s", "sampletime": "s"}
+_STEPS = ("dt", "deltat", "timestep", "samplinginterval", "sampletime")
 _RATES = ("fs", "samplingrate", "samplerate", "samplingfrequency", "samplefrequency")
-_MOST_LISTED = 12
 
 
 class Array(NamedTuple):
@@ -31,15 +30,10 @@ class Array(NamedTuple):
     """Where its values are along the axis, if the file says so."""
 
 
+UNREADABLE = Array((0,), list)
+"""In place of what is empty, or of a kind that cannot be read."""
 Group = Mapping[str, Any]
 """Arrays and further groups by name."""
-
-
-def listed(names: Iterable[str]) -> str:
-    """Return names in quotes, the first of many."""
-    names = list(names)
-    more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
-    return ", ".join(map(repr, names[:_MOST_LISTED])) + more
 
 
 def table_in(
@@ -49,8 +43,7 @@ def table_in(
 
     `at` is the path of a group or an array, None: the only group that has a table. `wanted` are
     the columns asked for, which decide between lengths. `axis` is `time` or `frequency`. Raises
-    `NoTable` where there is no table or it
-    is not clear which.
+    `NoTable` where there is no table or it is not clear which.
     """
     path, found = _place(group, at, separator)
     if isinstance(found, Array):
@@ -157,10 +150,12 @@ def _clock(group: Group) -> Clock | None:
             value = np.ravel(item.read())[0]
             if isinstance(value, str) or not np.isrealobj(value):
                 raise NoTable(f"holds no number in {name!r} but {str(value)!r}")
+            unit = find_unit(unit or item.unit or "s")
+            if words in _STEPS:
+                return Clock(0.0, float(value), unit or "s")
+            hertz = UNITS[unit].factor if unit and UNITS[unit].kind == "frequency" else 1.0
             with np.errstate(divide="ignore"):
-                step = float(value) if words in _STEPS else float(np.divide(1.0, value))
-            known = _STEPS.get(words, "s")
-            return Clock(0.0, step, (unit or known) if words in _STEPS else known)
+                return Clock(0.0, float(np.divide(1.0, hertz * value)))
     return None
 
 
@@ -228,7 +223,7 @@ def _table(columns: Mapping[str, Array], wanted: list[Any], axis: str) -> Table:
     left = [n for n in columns if n not in names]
     rows = columns[names[0]].shape[0]
     notes = [f"Left out, as their length is not {rows}: {listed(left)}."] if left else []
-    return _made({n: np.asarray(columns[n].read()) for n in names}, units, notes)
+    return table_of({n: np.asarray(columns[n].read()) for n in names}, units, notes)
 
 
 def _clocked(columns: Mapping[str, Array], clocked: Mapping[str, Array], axis: str) -> Table:
@@ -251,7 +246,7 @@ def _clocked(columns: Mapping[str, Array], clocked: Mapping[str, Array], axis: s
     notes += [said] if said else []
     notes += [f"Left out, as nothing says their {axis}: {listed(left)}."] if left else []
     units = {n: c.unit for n, c in clocked.items()}
-    return _made({axis: places, **found}, {**units, axis: unit.unit}, notes)
+    return table_of({axis: places, **found}, {**units, axis: unit.unit}, notes)
 
 
 def _equally_long(columns: Mapping[str, Array], wanted: list[Any]) -> list[str]:
@@ -272,9 +267,3 @@ def _equally_long(columns: Mapping[str, Array], wanted: list[Any]) -> list[str]:
             f"equally long: name them, as in columns=dict(time={example!r})"
         )
     return of_length[lengths.pop()]
-
-
-def _made(columns: dict[str, np.ndarray], units: Mapping[str, str | None], notes: list) -> Table:
-    known = {name: unit for name, unit in units.items() if unit}
-    rows = len(next(iter(columns.values())))
-    return Table(columns, known, np.arange(1, rows + 1), "row", "", {}, notes=tuple(notes))

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vibrojax.measured.groups import Array
+from vibrojax.measured.groups import UNREADABLE, Array
 
 if TYPE_CHECKING:
     import h5py
@@ -38,7 +38,7 @@ def read_hdf(group: "h5py.Group", above: tuple[Any, ...] = ()) -> dict[str, Any]
         try:
             item = group[name]
         except (KeyError, OSError):  # a link to something that is not there
-            found[name] = Array((0,), lambda: None)
+            found[name] = UNREADABLE
             continue
         if name in ("#refs#", "#subsystem#") or item in above:
             continue
@@ -59,7 +59,7 @@ def _structs(name: str, group: "h5py.Group", above: tuple[Any, ...]) -> dict[str
     for field, item in fields.items():
         for k, reference in enumerate(np.ravel(item[()]), 1):
             inside = found.setdefault(f"{name}({k})", {})
-            inside |= _referred(field, item.file[reference], above)
+            inside |= _referred(field, item.file[reference], above) if reference else {}
     return found
 
 
@@ -81,7 +81,7 @@ def _referred(name: str, item: Any, above: tuple[Any, ...]) -> dict[str, Any]:
 def _items(name: str, item: "h5py.Dataset", above: tuple[Any, ...]) -> dict[str, Any]:
     """Return what goes into a group for a dataset: its columns, or its cells, if it has any."""
     if item.shape is None or {"MATLAB_empty", "MATLAB_object_decode"} & {*item.attrs}:
-        return {name: Array((0,), lambda: None)}
+        return {name: UNREADABLE}
     if _refers(item):
         cells = [item.file[reference] for reference in np.ravel(item[()]) if reference]
         texts = [c for c in cells if _is_char(c)]
@@ -126,7 +126,7 @@ def _values(values: Any) -> Any:
     if _is_complex(array.dtype):
         real, imaginary = (array[n] for n in array.dtype.names or ())
         return real + 1j * imaginary
-    if array.dtype.kind == "S" or (array.dtype.kind == "O"):
+    if array.dtype.kind in "SO":
         return np.array([_text(v) for v in array.ravel().tolist()], "O").reshape(array.shape)
     return array
 

@@ -18,10 +18,9 @@ from vibrojax.measured.columns import (
     usable,
 )
 from vibrojax.measured.curve import check_parameters
-from vibrojax.measured.groups import listed
 from vibrojax.measured.history import CHANNELS, MeasuredHistory
 from vibrojax.measured.runs import runs_of
-from vibrojax.measured.table import Table
+from vibrojax.measured.table import Table, listed
 from vibrojax.measured.tables import read_table
 from vibrojax.measured.units import AXES, UNITS
 from vibrojax.model.signals import Sampled

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.measured.groups import Array, Group
+from vibrojax.measured.groups import UNREADABLE, Array, Group
 from vibrojax.measured.table import NoTable
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 16: 1, 17: 2, 18: 4}
@@ -128,5 +128,5 @@ def _items(name: str, value: Any) -> dict[str, Any]:
         return {name: Array((), lambda: value)}
     array = np.asarray(value)
     if array.dtype.kind not in "fiucbUO" or hasattr(value, "tocoo"):  # objects, sparse matrices
-        return {name: Array((0,), lambda: array)}
+        return {name: UNREADABLE}
     return {name: Array(array.shape, lambda: array)}

@@ -15,9 +15,8 @@ from vibrojax.measured.columns import (
     real_numbers,
     usable,
 )
-from vibrojax.measured.groups import listed
 from vibrojax.measured.runs import runs_of
-from vibrojax.measured.table import Table
+from vibrojax.measured.table import Table, listed
 from vibrojax.measured.tables import read_table
 from vibrojax.measured.units import AXES, UNITS, find_unit, split_header
 from vibrojax.model.signals import Sampled

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax.measured.cells import is_empty, number_in
-from vibrojax.measured.groups import listed
-from vibrojax.measured.table import NoTable, Table
+from vibrojax.measured.table import NoTable, Table, listed
 
 _DATES = (datetime.date, datetime.time, datetime.timedelta)
 

@@ -1,12 +1,14 @@
 """A table of measurements: named columns of equal length."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from vibrojax.measured.cells import joined, number_in, sign_of
 from vibrojax.measured.units import find_unit, split_header
+
+_MOST_LISTED = 12
 
 
 class NoTable(ValueError):
@@ -31,6 +33,22 @@ class Table(NamedTuple):
     notes: tuple[str, ...] = ()
     signs: Mapping[str, str] = {}
     """Decimal signs of columns of text, as `sign_of` has them; columns left out have points."""
+
+
+def table_of(
+    columns: dict[str, np.ndarray], units: Mapping[str, str | None], notes: Iterable[str]
+) -> Table:
+    """Return a table of columns and units, of which the rows are counted."""
+    known = {name: unit for name, unit in units.items() if unit}
+    rows = np.arange(1, len(next(iter(columns.values()))) + 1)
+    return Table(columns, known, rows, "row", "", {}, notes=tuple(notes))
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names in quotes, the first of many."""
+    names = list(names)
+    more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+    return ", ".join(map(repr, names[:_MOST_LISTED])) + more
 
 
 def with_signs(table: Table, of_file: str | None, decimal: str | None) -> Table:

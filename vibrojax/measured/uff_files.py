@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax.measured.clocks import side_by_side
-from vibrojax.measured.table import NoTable, Table
+from vibrojax.measured.table import NoTable, Table, listed, table_of
 from vibrojax.measured.units import UNITS, find_unit
 
 _KINDS = {
@@ -160,14 +160,17 @@ def _over_time(records: list[_Record], factors: dict[str, Any] | None) -> Table:
     for name, record in zip(names, records, strict=True):
         values = record.fields["data"] * record.factor("ordinate", record.quantity, factors)
         columns[name] = (record.fields["x"], values)
+    axes = dict.fromkeys(str(record.unit("abscissa", "time", None)) for record in records)
+    if len(axes) > 1:
+        raise NoTable(f"has times in {listed(axes)}: say which record by at=, counted from 1")
     time, found, said = side_by_side(columns)
-    units = {"time": records[0].unit("abscissa", "time", None)}
+    units: dict[str, str | None] = {"time": next(iter(axes))}
     units |= {
         n: r.unit("ordinate", r.quantity, factors) for n, r in zip(names, records, strict=True)
     }
     numbers = ", ".join(str(record.number) for record in records)
     notes = (f"Read from records {numbers} (data set 58).", *([said] if said else []))
-    return _made({"time": time, **found}, units, notes)
+    return table_of({"time": time, **found}, units, notes)
 
 
 def _over_frequency(record: _Record, factors: dict[str, Any] | None) -> Table:
@@ -185,10 +188,12 @@ def _over_frequency(record: _Record, factors: dict[str, Any] | None) -> Table:
         if unit or below or record.quantity not in (None, "displacement"):
             values, unit = _per_input(record, frequency, axis_unit, values, unit, below)
             notes.append(f"It is in {unit} as a response of displacement.")
+            if unit == "ratio":
+                notes.append("A ratio of motions is of absolute ones: then frame='absolute'.")
     else:
         notes.append("Its values were taken for amplitudes of the first harmonic, not for rms.")
     name = "first harmonic amplitude"
-    return _made(
+    return table_of(
         {"frequency": frequency, name: values},
         {"frequency": axis_unit, name: unit},
         tuple(notes),
@@ -226,12 +231,6 @@ def _per_input(
     if np.isrealobj(values):  # a magnitude has no phase to turn
         turned = np.abs(turned)
     return turned, "m/N" if kinds[1] == "force" else "ratio"
-
-
-def _made(columns: dict[str, np.ndarray], units: dict[str, Any], notes: tuple[str, ...]) -> Table:
-    rows = len(next(iter(columns.values())))
-    known = {name: unit for name, unit in units.items() if unit}
-    return Table(columns, known, np.arange(1, rows + 1), "row", "", {}, notes=notes)
 
 
 def looks_universal(start: bytes) -> bool:
