@@ -24,8 +24,9 @@ def read_mat(raw: bytes) -> Group:
     Raises `NoTable` for a file of version 5 that is damaged, and whatever scipy does for others.
     """
     from scipy.io import loadmat
+    from scipy.io.matlab import matfile_version
 
-    if raw[124:128] in (b"\0\1IM", b"\1\0MI"):
+    if matfile_version(io.BytesIO(raw))[0] == 1:
         try:
             _check(memoryview(raw)[128:], "<" if raw[126:128] == b"IM" else ">")
         except (ValueError, LookupError, struct.error, zlib.error):
