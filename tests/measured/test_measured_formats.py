@@ -232,6 +232,9 @@ def test_sheets_titles_units_below_and_merged_headers(tmp_path):
     text = write_csv(tmp_path / "units.csv", [["time", "tip"], ["[s]", "[mm]"], [0, 1], [1, 2]])
     assert_allclose(history(text).displacement, [1e-3, 2e-3])
     assert_array_equal(read_table(text).lines, [3, 4])
+    other = write_csv(tmp_path / "units.csv", [["t_s", "tip_mm"], ["s", "m"], [0, 1], [1, 2]])
+    with pytest.raises(ValueError, match="has the unit 'mm' in its name and 'm' beside it"):
+        history(other)
 
 
 @pytest.mark.parametrize("binary", [0, 1])

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vibrojax.measured.cells import joined, number_in, sign_of
-from vibrojax.measured.units import find_unit, split_header
+from vibrojax.measured.units import find_unit
 
 _MOST_LISTED = 12
 
@@ -75,8 +75,7 @@ def with_units_row(table: Table) -> Table:
     if not said or not words or len(texts) < len(table.columns):
         return table
     columns = {name: cells[1:] for name, cells in table.columns.items()}
-    units = {name: unit for name, unit in said.items() if split_header(name).unit is None}
     note = f"Units are those of {table.counted} {table.lines[0]}."
     return table._replace(
-        columns=columns, units=units, lines=table.lines[1:], notes=(*table.notes, note)
+        columns=columns, units=said, lines=table.lines[1:], notes=(*table.notes, note)
     )
