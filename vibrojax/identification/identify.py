@@ -16,6 +16,7 @@ from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.findings import early_jumps, misfit, modes_left_out
 from vibrojax.identification.fit import Alternative
 from vibrojax.identification.fitted_data import fitted_data
+from vibrojax.identification.history_misfit import HistoryMisfit
 from vibrojax.identification.identification import Identification
 from vibrojax.identification.least_squares import LevenbergMarquardt, Optax, Search
 from vibrojax.identification.problem import (
@@ -43,6 +44,8 @@ FARTHEST = 9.0
 """Farthest that a search goes from the guess in a coordinate: a factor of 8000 in log."""
 FACTORS = (0.1, 0.3, 3.0, 10.0)
 """By which the stiffness is multiplied where a search ended with a poor fit."""
+MOST_HOPS, HOP = 4, 0.1
+"""How often histories may begin another sample sooner or later, and what that has to gain."""
 APART = 3.0
 """Distance between alternatives, in standard deviations."""
 
@@ -192,6 +195,31 @@ class _Fits:
         if poor:
             again = [restarts(begin[k], problem.coordinates) for k in poor]
             self._search(np.concatenate(again), np.repeat(poor, [len(a) for a in again]))
+        self._hop()
+
+    def _hop(self) -> None:
+        """Let motions of histories begin a sample sooner or later, as long as that is better."""
+        models = [
+            (k, model)
+            for k, model in enumerate(self.problem.misfits)
+            if isinstance(model, HistoryMisfit)
+        ]
+        for _ in range(MOST_HOPS if any(model.can_hop for _, model in models) else 0):
+            points, which, held = [], [], []
+            for k in range(len(self.data)):
+                point, _ = self._best(k)
+                self.problem.evaluate(point[None], np.array([k]), self.last)
+                for m, model in models:
+                    for limits in model.beside(k, model.shifts[0]):
+                        points.append(point)
+                        which.append(k)
+                        held.append((m, limits))
+            if not points:
+                return
+            before = [self._best(k)[1] for k in range(len(self.data))]
+            self._search(np.array(points), np.array(which), STAGES[-1:], held)
+            if all(self._best(k)[1] > b - HOP for k, b in enumerate(before)):
+                return
 
     def _best(self, k: int) -> tuple[np.ndarray, float]:
         return min(self.ended[k], key=lambda end: end[1])
@@ -229,15 +257,26 @@ class _Fits:
             )
         return point
 
-    def _search(self, points: np.ndarray, which: np.ndarray) -> None:
+    def _search(
+        self,
+        points: np.ndarray,
+        which: np.ndarray,
+        stages: Sequence[tuple[float, float]] = STAGES,
+        held: Sequence[tuple[int, tuple[float, float]]] = (),
+    ) -> None:
+        """Search from some points; `held`: a measurement and limits of its shift, by lane."""
         low, high = self.problem.limits
         middle, cost = self.problem.guess, np.zeros(0)
         low, high = np.maximum(low, middle - FARTHEST), np.minimum(high, middle + FARTHEST)
-        for share, tolerance in STAGES:
+        shifts = {
+            m: np.array([own if n == m else (-np.inf, np.inf) for n, own in held]) for m, _ in held
+        }
+        for share, tolerance in stages:
             scale = self.first ** (1 - share) * self.last**share
 
             def evaluate(points, lanes, scale=scale):
-                return self.problem.evaluate(points, which[lanes], scale)
+                own = {m: limits[lanes] for m, limits in shifts.items()}
+                return self.problem.evaluate(points, which[lanes], scale, shifts=own)
 
             found = self.search(evaluate, points, low, high, tolerance)
             points, cost = found.point, found.cost

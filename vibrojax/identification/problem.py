@@ -272,12 +272,17 @@ class Problem:
         frequency_scale: float,
         *,
         precisely: bool = False,
+        shifts: dict[int, np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals and their derivatives in the coordinates; `which`: repetition of each lane."""
+        """Residuals and their derivatives in the coordinates; `which`: repetition of each lane.
+
+        `shifts`: limits (lanes, 2) of those of some histories, by measurement.
+        """
         slopes, residuals, jacobians = self.slopes(points), [], []
         for k, misfit in enumerate(self.misfits):
+            own = {"shifts": shifts[k]} if shifts and k in shifts else {}
             residual, derivative = misfit.residuals(
-                self.of_measurement(k, points), which, frequency_scale, precisely=precisely
+                self.of_measurement(k, points), which, frequency_scale, precisely=precisely, **own
             )
             jacobian = np.zeros((*residual.shape, len(self.coordinates)))
             own = list(self.unknowns[k].values())
