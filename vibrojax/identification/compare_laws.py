@@ -131,7 +131,8 @@ def _foretold(
     numbers: Mapping[str, Any],
 ) -> float:
     """Mean square of the residuals, in deviations, of a record that the fit has not seen."""
-    shared = {n: v for n, v in fit.estimate.items() if n in inspect.signature(make).parameters}
+    known = inspect.signature(make).parameters
+    shared: dict[str, Any] = {n: v for n, v in fit.estimate.items() if n in known}
     record = with_numbers(record, {n: v for n, v in fit.estimate.items() if n in RECORD_NUMBERS})
     count = len(record.observations().value)
     if private:

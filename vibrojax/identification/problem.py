@@ -230,10 +230,16 @@ class Problem:
         self, numbers: Sequence[float] | np.ndarray, k: int, measured: Measurement
     ) -> AbstractSystem:
         """Make the rig of the `k`-th measurement with these numbers (unknowns)."""
+        return made_by(self.make, self.arguments(numbers, k, measured))
+
+    def arguments(
+        self, numbers: Sequence[float] | np.ndarray, k: int, measured: Measurement
+    ) -> dict[str, Any]:
+        """Return the arguments of the function of the rig, for the `k`-th measurement."""
         fitted = {name: float(numbers[i]) for name, i in self.unknowns[k].items()}
         for name in record_numbers_in(self.make, fitted):
             del fitted[name]
-        return made_by(self.make, self.held | measured.parameters | fitted)
+        return self.held | measured.parameters | fitted
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -88,6 +88,14 @@ def with_numbers(history: MeasuredHistory, numbers: Mapping[str, float]) -> Meas
     return history
 
 
+def unit_of(name: str) -> str:
+    """Return the unit of a number of records."""
+    channel, _, part = name.rpartition("_")
+    if name in BEGINNING:
+        return CHANNELS[part]
+    return {"gain": "1", "offset": CHANNELS[channel], "delay": "s"}[part]
+
+
 def size_of(history: MeasuredHistory, name: str) -> float:
     """Return a change of this number that matters, about: the unit in which it is sought."""
     part = history.windowed()
