@@ -101,6 +101,7 @@ def compare_laws(
     for name, law in candidates.items():
         make, first = _WithLaw(make_system, law, name), {**law.guess, **rest}
         fit = identify(make, histories, first, private=private, **settings, **numbers)
+        first |= {n: v for n, v in fit.estimate.items() if n in first}
         foretold = []
         for k, record in enumerate(histories if len(histories) > 1 else ()):
             others = [*histories[:k], *histories[k + 1 :]]

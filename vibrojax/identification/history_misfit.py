@@ -271,18 +271,19 @@ class HistoryMisfit:
         lanes = len(rigs.angular_frequency)
         if not self.plan.aligned:
             return np.zeros(lanes), np.zeros(lanes)
-        reach = 2 * np.pi / rigs.angular_frequency
+        reach, begun = 2 * np.pi / rigs.angular_frequency, np.zeros(lanes)
         if not self.plan.driven:
             reach = (1.0 if self.anywhere else REACH) * data.span
-        span = np.max(data.seen.time, axis=1) + reach
+            begun = np.min(data.seen.time, axis=1) if self.anywhere else begun
+        span = np.max(data.seen.time, axis=1) - begun + reach
         steps = np.diff(np.sort(self.data.seen.time, axis=1))
-        whole = np.max(self.data.seen.time) / np.min(steps[steps > 0])
+        whole = np.max(data.span) / np.min(steps[steps > 0])
         count = int(np.clip(2 * whole, GRID, 8 * GRID))
         signals = np.asarray(sampled_signals(made, self.plan, rigs.start, jnp.asarray(span), count))
         shift, cell = np.zeros(lanes), span / count
         for k in range(lanes):
             most = int(reach[k] / cell[k])
-            shifts = np.arange(-most, most + 1)
+            shifts = np.arange(-most, most + 1) - begun[k] / cell[k]
             delays = rigs.sensors.delay[k]
             costs = data.misfit_of_shifts(k, signals[k], 1 / cell[k], delays, shifts, False)
             low, high = limits[k]

@@ -25,7 +25,7 @@ from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 from vibrojax.stepping.input_phases import input_phases
 from vibrojax.stepping.linearly_implicit import STEPS, LinearlyImplicit
 from vibrojax.stepping.signal_march import march_equal, march_unequal
-from vibrojax.stepping.stepper import ExactContact
+from vibrojax.stepping.stepper import ExactContact, ExponentialSplitting
 
 lax = jax.lax
 
@@ -150,7 +150,7 @@ def _motion(rig: Rig) -> Motion:
     return Motion(rig.equations, rig.drive, waveform, rig.phases)
 
 
-def _advance(motion: Motion, exact: bool, start, duration, state):
+def _advance(motion: Motion, exact: bool, fewest: int, start, duration, state):
     """State of one lane after a duration (s)."""
     equations = motion.equations.linear_between_contacts
     assert equations is not None  # checked before
@@ -160,11 +160,10 @@ def _advance(motion: Motion, exact: bool, start, duration, state):
     rate = motion.clock
     # An interval of length zero would have no derivative.
     duration = duration + 1e-12 / rate
-    if isinstance(method, LinearlyImplicit):
-        per_period, fewest = STEPS, BETWEEN_SAMPLES
-    else:
+    per_period = STEPS
+    if isinstance(method, ExponentialSplitting):
         per_period = splitting.steps_for(equations, rate, jnp.asarray(method.tolerance))
-        fewest = 1.0
+        fewest = 1
     steps = jnp.ceil(lax.stop_gradient(duration * per_period * rate) / (2 * jnp.pi))
     steps = jnp.maximum(steps, fewest).astype(jnp.int32)
     part = duration / steps
@@ -206,13 +205,20 @@ def _driven_states(rig: Rig, plan: Plan, times: Float[Array, " samples"]):
     return states[jnp.searchsorted(knots, times)]
 
 
-def _states(rig: Rig, exact: bool, state, times: Float[Array, " samples"], begun: ArrayLike = 0.0):
+def _states(
+    rig: Rig,
+    exact: bool,
+    state,
+    times: Float[Array, " samples"],
+    begun: ArrayLike = 0.0,
+    fewest: int = BETWEEN_SAMPLES,
+):
     """States (samples, states) at rising times (s), from when the state is given."""
     motion = _motion(rig)
 
     def step(carry, time):
         state, before = carry
-        state = _advance(motion, exact, before, time - before, state)
+        state = _advance(motion, exact, fewest, before, time - before, state)
         return (state, time), state
 
     _, states = lax.scan(step, (state, jnp.zeros_like(times[0]) + begun), times)
@@ -299,7 +305,9 @@ def sampled_signals(rigs: Rig, plan: Plan, state, span, count: int):
 
     def one(rig, state, span):
         times = span * jnp.arange(count) / count
-        shown = _signals(rig, plan, times, _states(rig, plan.exact, state, times))
+        # So many samples need no steps in between to show where the motion begins.
+        states = _states(rig, plan.exact, state, times, fewest=2)
+        shown = _signals(rig, plan, times, states)
         return rig.sensors.gain[:, None] * shown + rig.sensors.offset[:, None]
 
     return jax.vmap(one)(rigs, state, span)
