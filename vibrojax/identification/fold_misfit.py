@@ -8,7 +8,8 @@ from vibrojax.ensemble.slopes import WithSlopes
 from vibrojax.identification.curve_misfit import LOST, CurveMisfit
 from vibrojax.identification.nearest_point import Target
 from vibrojax.identification.trial_rigs import Curve, Maker
-from vibrojax.measured.curve import Jump, MeasuredCurve
+from vibrojax.measured.curve import MeasuredCurve
+from vibrojax.measured.jumps import Jump
 from vibrojax.steady.batches import BATCH
 
 MASKED = 2

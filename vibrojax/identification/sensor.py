@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from vibrojax.measured.kinds import ORDERS
 from vibrojax.model.drives import BaseMotion
 from vibrojax.model.first_order import without_memory
 from vibrojax.steady.condensed import Problem, cell_average, differentiate
 from vibrojax.steady.paths import Place
 from vibrojax.stepping.cubic import cubic_maximum
 
-ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2, "voltage": 0, "power": 0}
 FINER = 2
 """How many times finer than the balance a waveform is looked at."""
 
