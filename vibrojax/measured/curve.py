@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from vibrojax._tools.checks import check_choice
 from vibrojax._tools.described import in_short
@@ -174,7 +174,7 @@ class MeasuredCurve:
         if self.amplitude is None:
             raise ValueError("phase is given without amplitude.")
         if self.signal == "power":
-            raise ValueError("phase is of a signal, and a power has none. Leave it out.")
+            raise ValueError("phase is given, and a power has none. Leave it out: phase=None.")
         self._take("phase", size)
         if np.isinf(self.phase).any():
             raise ValueError("phase must be finite, or NaN where it is not known, got inf.")
@@ -196,9 +196,9 @@ class MeasuredCurve:
                 )
 
     def _take(self, name: str, size: int) -> None:
-        """Put a channel into form; one value is that of all points, but of a phase."""
+        """Put a channel into form; one deviation or drive is that of all points."""
         values = real_channel(name, getattr(self, name))
-        if name != "phase" and values.size == 1:
+        if name not in ("amplitude", "contact_force", "phase") and values.size == 1:
             values = np.repeat(values, size)
         if values.shape != (size,):
             raise ValueError(f"{name} has {values.size} points, frequency has {size}.")
@@ -281,7 +281,7 @@ class MeasuredCurve:
         ]
 
     def _orders(self) -> list[list[Run]]:
-        """Runs of neighbours; points of no direction by their frequency, or as they were measured."""
+        """Runs of neighbours: those of no direction by frequency, or in their order."""
         jumps = [jump.at for jump in self.jumps()]
         runs: list[Run] = []
         for direction in (1, -1):

@@ -71,7 +71,9 @@ def phase_noise(
     return np.hypot(level, floor / lever(amplitude)), text
 
 
-def _level(orders: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]], count: int) -> tuple[float, str]:
+def _level(
+    orders: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]], count: int
+) -> tuple[float, str]:
     """Scatter of the values of runs about their neighbours, and how it was found."""
     # The cubic follows a curved response, the line a kinked one: neither reads too little.
     spreads = [
