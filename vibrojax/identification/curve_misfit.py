@@ -1,6 +1,7 @@
 """Distance of measured points from the response curves of many trial rigs at once."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,13 +12,24 @@ from vibrojax.branches.continuation import Ending
 from vibrojax.branches.over_range import scale_of, trace_over
 from vibrojax.branches.tracing import Traced
 from vibrojax.ensemble.slopes import WithSlopes
+from vibrojax.identification.as_measured import (
+    channels_of,
+    check_alike,
+    deviations_of,
+    drive_levels,
+    drive_of_rig,
+    order_of,
+    sensor_of,
+)
 from vibrojax.identification.nearest_point import Nearest, Target, nearest_points, settled
-from vibrojax.identification.sensor import Sensor
+from vibrojax.identification.sensor import seen_from, wrapped
 from vibrojax.identification.trial_rigs import (
     SAMPLES,
     WIDTHS,
     Curve,
     Maker,
+    at_level,
+    driven,
     free_and_touching,
     frequency_path,
     observe_points,
@@ -42,20 +54,14 @@ FAR_AWAY = 1e6
 """A gap that is never closed, m."""
 LOST = 1e3
 """Residual of every point of a rig without a curve, in standard deviations."""
+OFF_LEVEL = 0.01
+"""Relative distance from the drive of a traced curve that counts as a standard deviation."""
 
 
-def _both(amplitude: np.ndarray | None, force: np.ndarray | None) -> np.ndarray:
-    return np.stack([c for c in (amplitude, force) if c is not None], axis=1)
-
-
-def sensor_of(measured: MeasuredCurve) -> Sensor:
-    """Return the sensor that shows what was measured."""
-    return Sensor(
-        quantity=measured.quantity if measured.amplitude is not None else None,
-        signal=measured.signal,
-        is_ratio=measured.is_ratio,
-        absolute=measured.frame == "absolute",
-        with_force=measured.contact_force is not None,
+def _held(slopes: FrequencyPath) -> FrequencyPath:
+    """Derivatives of paths whose drive was measured."""
+    return eqx.tree_at(
+        lambda p: p.drive, slopes, replace_fn=lambda drive: jax.tree.map(np.zeros_like, drive)
     )
 
 
@@ -67,6 +73,7 @@ class CurveMisfit:
     """
 
     def __init__(self, maker: Maker, repetitions: Sequence[MeasuredCurve], pointwise: bool = False):
+        check_alike(repetitions)
         first = repetitions[0]
         self.maker, self.pointwise = maker, pointwise
         self.unit = 1.0
@@ -75,9 +82,18 @@ class CurveMisfit:
         self.is_ratio = first.frequency_name == "frequency_ratio"
         self.frequency = np.stack([m.frequency for m in repetitions])
         self.direction = np.stack([m.direction for m in repetitions])
-        self.channels = np.stack([_both(m.amplitude, m.contact_force) for m in repetitions])
-        noise = [m.noise() for m in repetitions]
-        self.deviation = np.stack([_both(n.amplitude, n.contact_force) for n in noise])
+        self.channels = np.stack([channels_of(m) for m in repetitions])
+        self.deviation = np.stack([deviations_of(m) for m in repetitions])
+        self.order = order_of(first)
+        """Which derivative of what drives the rig was measured."""
+        self.drive, self.levels = None, None
+        """Drive of every point as measured; amplitudes of that kind at which curves are traced."""
+        self.rig_drive = None
+        """Drive of every point as the rig has it, N or m."""
+        if first.drive_amplitude is not None:
+            self.drive = np.stack([np.asarray(m.drive_amplitude) for m in repetitions])
+            self.levels = drive_levels(self.drive)
+            self.rig_drive = np.stack([np.asarray(drive_of_rig(m)) for m in repetitions])
         self.low = float(self.frequency.min()) * (1 - MARGIN)
         self.high = float(self.frequency.max()) * (1 + MARGIN)
 
@@ -92,6 +108,11 @@ class CurveMisfit:
         return self.points * (1 + self.sensor.channels)
 
     @property
+    def values(self) -> int:
+        """How many numbers were measured: a phase may be missing at some points."""
+        return round(np.isfinite(self.deviation).sum() / len(self.deviation))
+
+    @property
     def scale(self) -> float:
         """Change of frequency that counts as much as a motion changing by its size."""
         return scale_of(self.low, self.high, self.unit)
@@ -103,7 +124,24 @@ class CurveMisfit:
         return take(WithSlopes(*jax.device_get(made)), slice(len(values)))
 
     def curves(self, paths: FrequencyPath) -> list[Curve]:
-        """Follow the response curves of all rigs over the measured range.
+        """Follow the response curves of all rigs over the measured range, at every drive level."""
+        if self.levels is None:
+            return self._followed(paths)
+        count, lanes = len(self.levels), paths.unit.shape[0]
+        each = take(paths, np.repeat(np.arange(lanes), count))
+        found = self._followed(at_level(each, np.tile(self.levels, lanes), self.order))
+        together = []
+        for k in range(0, len(found), count):
+            own = found[k : k + count]
+            joined = Curve(
+                *(np.concatenate(c) for c in zip(*(one[:4] for one in own), strict=True))
+            )
+            drive = np.repeat(self.levels, [len(one.frequency) for one in own])
+            together.append(joined._replace(drive=drive))
+        return together
+
+    def _followed(self, paths: FrequencyPath) -> list[Curve]:
+        """Follow the response curves of all paths over the measured range.
 
         From the end where there is no contact yet; where that does not get through, from the other
         one too.
@@ -152,12 +190,15 @@ class CurveMisfit:
         columns = frequency, channels, depth, continues
         return [Curve(*(c[lane == k] for c in columns)) for k in range(len(pieces))]
 
-    def _observed(self, paths: FrequencyPath, lane, depth, frequency) -> np.ndarray:
-        """Channels of some motions, each of its own lane."""
-        return in_batches(
-            lambda i: observe_points(take(paths, lane[i]), self.sensor, depth[i], frequency[i]),
-            len(lane),
-        )
+    def _observed(self, paths: FrequencyPath, lane, depth, frequency, drive=None) -> np.ndarray:
+        """Channels of some motions, each of its own lane, and its own drive where there is one."""
+
+        def at(i):
+            own = take(paths, lane[i])
+            own = own if drive is None else driven(own, drive[i])
+            return observe_points(own, self.sensor, depth[i], frequency[i])
+
+        return in_batches(at, len(lane))
 
     def nearest(
         self,
@@ -178,16 +219,23 @@ class CurveMisfit:
         order = np.argsort(np.sum(np.fft.irfft(depth, SAMPLES) > 0, axis=(1, 2)), kind="stable")
         lane, point, depth, frequency = lane[order], point[order], depth[order], frequency[order]
         row = which[lane], point
+        wanted, phase = self._wanted(*row)
         target = Target(
             self.frequency[row],
-            self.channels[row],
+            wanted,
             np.full(len(lane), self.unit * (HELD if self.pointwise else frequency_scale)),
             self.deviation[row],
+            phase,
         )
+        drive = None if self.rig_drive is None else self.rig_drive[row]
         close = PRECISE if precisely else NEAR_ENOUGH
 
         def find(i, rounds=FEW_ROUNDS):
-            return self.find(lanes, lane[i], take(target, i), depth[i], frequency[i], rounds, close)
+            own = take(lanes, lane[i])
+            own = (
+                own if drive is None else WithSlopes(driven(own.made, drive[i]), _held(own.slopes))
+            )
+            return self.find(own, take(target, i), depth[i], frequency[i], rounds, close)
 
         nearest = in_batches(find, len(lane))
         slow = np.flatnonzero(~settled(nearest, close))
@@ -202,13 +250,19 @@ class CurveMisfit:
         _, first = np.unique(row[order], return_index=True)
         return have, take(nearest, order[first])
 
-    def find(
-        self, lanes: WithSlopes, lane, target: Target, depth, frequency, rounds, close
-    ) -> Nearest:
-        """Find the nearest points from guesses of their motions and frequencies."""
+    def _wanted(self, *row: Any) -> tuple[np.ndarray, np.ndarray | None]:
+        """Channels of some points as they are seen from their phases, and these."""
+        channels, phase = self.channels[row], None
+        if self.sensor.with_phase:
+            phase = channels[..., 1]
+            channels = seen_from(self.sensor, channels, phase)
+        return channels, phase
+
+    def find(self, lanes: WithSlopes, target: Target, depth, frequency, rounds, close) -> Nearest:
+        """Find the nearest points, each of its own lane, from guesses of motions and frequencies."""
         return nearest_points(
-            take(lanes.made, lane),
-            take(lanes.slopes, lane),
+            lanes.made,
+            lanes.slopes,
             target,
             depth,
             frequency,
@@ -240,16 +294,28 @@ class CurveMisfit:
         Where two places are about as near there are two guesses.
         """
         size = np.full((self.points, 1), frequency_scale * self.unit)
-        scale = np.concatenate([size, self.deviation[which]], axis=1)
-        whole = np.concatenate([curve.frequency[:, None], curve.channels], axis=1)
-        wanted = np.concatenate([self.frequency[which, :, None], self.channels[which]], axis=1)
-        # points, segments, coordinates
-        from_start = (wanted[:, None] - whole[None, start]) / scale[:, None]
-        along = (whole[start + 1] - whole[start])[None] / scale[:, None]
+        scale = np.concatenate([size, self.deviation[which]], axis=1)[:, None]
+        channels, phase = self._wanted(which)
+        wanted = np.concatenate([self.frequency[which, :, None], channels], axis=1)[:, None]
+
+        def seen(at):  # points (one, where all see the same), segments, coordinates
+            own = curve.channels[None, at]
+            own = seen_from(self.sensor, own, None if phase is None else phase[:, None])
+            frequency = np.broadcast_to(curve.frequency[None, at, None], (*own.shape[:2], 1))
+            return np.concatenate([frequency, own], axis=2)
+
+        begin, end = seen(start), seen(start + 1)
+        from_start, along = (wanted - begin) / scale, end - begin
+        if self.sensor.with_phase and not self.sensor.is_complex:
+            along[..., 2] = wrapped(along[..., 2])
+        along = along / scale
         length2 = np.sum(along**2, axis=2)
         share = np.sum(from_start * along, axis=2) / np.where(length2 > 0, length2, 1.0)
         share = np.clip(share, 0.0, 1.0)
         distance = np.sum((from_start - share[..., None] * along) ** 2, axis=2)
+        if self.drive is not None and curve.drive is not None:
+            off = np.log(self.drive[which][:, None] / curve.drive[start])
+            distance += (off / OFF_LEVEL) ** 2
         rows = np.arange(len(wanted))
         best = np.argmin(distance, axis=1)
         aside = np.pad(distance, ((0, 0), (1, 1)), constant_values=np.inf)
@@ -296,9 +362,12 @@ class CurveMisfit:
         depth = np.asarray(free_and_touching(take(away, index), low)[0])
         lane = np.repeat(np.arange(len(values)), self.points)
         frequency = np.tile(self.frequency[which], len(values))
-        seen = self._observed(away, lane, depth[lane], frequency)
+        drive = None if self.rig_drive is None else np.tile(self.rig_drive[which], len(values))
+        seen = self._observed(away, lane, depth[lane], frequency, drive)
         seen = seen.reshape(len(values), *self.channels[which].shape)
-        return ((self.channels[which] - seen) / self.deviation[which]).reshape(len(values), -1)
+        wanted, phase = self._wanted(which)
+        seen = seen_from(self.sensor, seen, phase)
+        return ((wanted - seen) / self.deviation[which]).reshape(len(values), -1)
 
     def residuals(
         self,

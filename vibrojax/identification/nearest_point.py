@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.branches.continuation import dot
-from vibrojax.identification.sensor import Sensor, observe
+from vibrojax.identification.sensor import Sensor, observe, seen_from
 from vibrojax.steady.condensed import (
     balance,
     condensed_problem,
@@ -39,6 +39,8 @@ class Target(NamedTuple):
     channels: Float[AnyArray, "... channels"]
     frequency_scale: Float[AnyArray, "..."]
     deviation: Float[AnyArray, "... channels"]
+    phase: Float[AnyArray, "..."] | None = None
+    """Phase (rad) from which the channels are seen; None where none is measured."""
 
 
 class Nearest(NamedTuple):
@@ -83,7 +85,10 @@ def nearest_points(
     samples = 2 * (depth.shape[-1] - 1)
     number = jax.tree.leaves(slopes)[0].shape[1]
 
-    def linearise(path, slopes, depth, frequency):
+    def see(phase, place, problem, force, depth):
+        return seen_from(sensor, observe(sensor, place, problem, force, depth), phase, jnp)
+
+    def linearise(path, slopes, phase, depth, frequency):
         place = Place(path.equations, path.drive, frequency * path.unit)
 
         def at(place):
@@ -92,7 +97,7 @@ def nearest_points(
             )
             per_second = samples * place.angular_frequency / (2 * jnp.pi)
             here = balance(problem, depth, per_second, samples)
-            channels = observe(sensor, place, problem, here.force, depth)
+            channels = see(phase, place, problem, here.force, depth)
             return (here.residual, channels), (here, problem)
 
         # How the place moves with the frequency, then with the numbers.
@@ -125,7 +130,7 @@ def nearest_points(
             value, rate = jnp.fft.irfft(both, samples)
             force = jnp.fft.rfft(here.stiffness * value + here.damping * rate)
             return jax.jvp(
-                lambda d, f: observe(sensor, place, problem, f, d),
+                lambda d, f: see(target.phase, place, problem, f, d),
                 (depth, here.force),
                 (change, force),
             )[1]
@@ -167,7 +172,7 @@ def nearest_points(
         depth = jnp.where(lost[:, None, None], guess[0], depth)
         frequency = jnp.where(lost, guess[1], frequency)
         place, problem, here, right, channels, seen = jax.vmap(linearise)(
-            paths, slopes, depth, frequency
+            paths, slopes, target.phase, depth, frequency
         )
         touching = (here.stiffness != 0) | (here.damping != 0)
         needed = jnp.max(jnp.sum(touching, axis=(1, 2)))

@@ -4,11 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from vibrojax._tools.compiled import compiled
+from vibrojax._tools.types import AnyArray
 from vibrojax.branches.along import check_equations
 from vibrojax.branches.tracing import free_motion
 from vibrojax.ensemble.slopes import WithSlopes, systems_with_slopes, with_slopes
@@ -30,6 +33,16 @@ class Curve(NamedTuple):
     depth: np.ndarray
     continues: np.ndarray
     """Whether the next point continues this one."""
+    drive: np.ndarray | None = None
+    """Drive amplitude of every point, as it was measured; None: that of the rig."""
+
+    def at_drive(self, amplitude: float) -> "Curve":
+        """Return the part that was traced at about this drive amplitude."""
+        if self.drive is None or not len(self.drive):
+            return self
+        nearest = self.drive[np.argmin(np.abs(self.drive - amplitude))]
+        own = self.drive == nearest
+        return Curve(*(column[own] for column in self if column is not None))
 
     def turning(self, direction: int) -> np.ndarray:
         """Whether each point is a fold at which a sweep in this direction (1 or -1) jumps."""
@@ -90,13 +103,43 @@ def frequency_path(system: AbstractSystem, is_ratio: bool) -> FrequencyPath:
     return FrequencyPath(linear, system.drive, unit, None)
 
 
+class LevelPath(FrequencyPath):
+    """Along the drive frequency at a velocity or acceleration of the base that stays the same."""
+
+    level: Float[AnyArray, "..."]
+    """Its amplitude, m/s or m/s2."""
+    order: int = eqx.field(static=True)
+    """Which derivative of the displacement it is."""
+
+    def at(self, parameter: Float[Array, ""]) -> Place:
+        """Return the same system at another frequency, the displacement of the base with it."""
+        place = super().at(parameter)
+        amplitude = self.level / place.angular_frequency**self.order
+        return Place(place.equations, place.drive.with_amplitude(amplitude), parameter * self.unit)
+
+
+def at_level(paths: FrequencyPath, amplitude: np.ndarray, order: int) -> FrequencyPath:
+    """Return the paths of some lanes at other drive amplitudes (lanes).
+
+    They are those of the `order`-th derivative of what drives the rig.
+    """
+    if order == 0:
+        return driven(paths, amplitude)
+    return LevelPath(paths.equations, paths.drive, paths.unit, None, amplitude, order)
+
+
+def driven(paths: FrequencyPath, amplitude: np.ndarray) -> FrequencyPath:
+    """Return the paths of some lanes at other drive amplitudes (lanes), m or N."""
+    return eqx.tree_at(lambda p: p.drive, paths, paths.drive.with_amplitude(amplitude))
+
+
 @compiled
 def observe_points(paths, sensor, depth, frequency):
     """Channels of a sensor for some motions, each of its own path."""
     samples = 2 * (depth.shape[-1] - 1)
 
     def one(path, depth, frequency):
-        place = Place(path.equations, path.drive, frequency * path.unit)
+        place = path.at(frequency)
         w = place.angular_frequency
         problem = condensed_problem(place.equations, place.drive, w, samples=samples)
         at = balance(problem, depth, samples * w / (2 * jnp.pi), samples)
