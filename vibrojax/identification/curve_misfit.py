@@ -30,9 +30,11 @@ from vibrojax.identification.trial_rigs import (
     Maker,
     at_level,
     driven,
+    driven_as_measured,
     free_and_touching,
     frequency_path,
     observe_points,
+    together,
 )
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.steady.batches import filled_up, in_batches, take
@@ -56,13 +58,6 @@ LOST = 1e3
 """Residual of every point of a rig without a curve, in standard deviations."""
 OFF_LEVEL = 0.01
 """Relative distance from the drive of a traced curve that counts as a standard deviation."""
-
-
-def _held(slopes: FrequencyPath) -> FrequencyPath:
-    """Derivatives of paths whose drive was measured."""
-    return eqx.tree_at(
-        lambda p: p.drive, slopes, replace_fn=lambda drive: jax.tree.map(np.zeros_like, drive)
-    )
 
 
 class CurveMisfit:
@@ -130,15 +125,8 @@ class CurveMisfit:
         count, lanes = len(self.levels), paths.unit.shape[0]
         each = take(paths, np.repeat(np.arange(lanes), count))
         found = self._followed(at_level(each, np.tile(self.levels, lanes), self.order))
-        together = []
-        for k in range(0, len(found), count):
-            own = found[k : k + count]
-            joined = Curve(
-                *(np.concatenate(c) for c in zip(*(one[:4] for one in own), strict=True))
-            )
-            drive = np.repeat(self.levels, [len(one.frequency) for one in own])
-            together.append(joined._replace(drive=drive))
-        return together
+        starts = range(0, len(found), count)
+        return [together(found[k : k + count], self.levels) for k in starts]
 
     def _followed(self, paths: FrequencyPath) -> list[Curve]:
         """Follow the response curves of all paths over the measured range.
@@ -232,9 +220,7 @@ class CurveMisfit:
 
         def find(i, rounds=FEW_ROUNDS):
             own = take(lanes, lane[i])
-            own = (
-                own if drive is None else WithSlopes(driven(own.made, drive[i]), _held(own.slopes))
-            )
+            own = own if drive is None else driven_as_measured(own, drive[i])
             return self.find(own, take(target, i), depth[i], frequency[i], rounds, close)
 
         nearest = in_batches(find, len(lane))
@@ -259,7 +245,7 @@ class CurveMisfit:
         return channels, phase
 
     def find(self, lanes: WithSlopes, target: Target, depth, frequency, rounds, close) -> Nearest:
-        """Find the nearest points, each of its own lane, from guesses of motions and frequencies."""
+        """Find the nearest points of as many lanes from guesses of motions and frequencies."""
         return nearest_points(
             lanes.made,
             lanes.slopes,

@@ -1,6 +1,6 @@
 """Trial rigs, many at a time: their paths, what a sensor sees of them, and their curves."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -60,6 +60,13 @@ class Curve(NamedTuple):
         change[~self.continues] = np.append(0.0, change)[:-1][~self.continues]
         forth = np.sign(self.frequency[-1] - self.frequency[0])
         return change * forth < 0
+
+
+def together(curves: Sequence[Curve], drive: np.ndarray) -> Curve:
+    """Return curves that were traced at some drive amplitudes as one."""
+    columns = zip(*(curve[:4] for curve in curves), strict=True)
+    counts = [len(curve.frequency) for curve in curves]
+    return Curve(*map(np.concatenate, columns), drive=np.repeat(drive, counts))
 
 
 @dataclass(frozen=True)
@@ -131,6 +138,13 @@ def at_level(paths: FrequencyPath, amplitude: np.ndarray, order: int) -> Frequen
 def driven(paths: FrequencyPath, amplitude: np.ndarray) -> FrequencyPath:
     """Return the paths of some lanes at other drive amplitudes (lanes), m or N."""
     return eqx.tree_at(lambda p: p.drive, paths, paths.drive.with_amplitude(amplitude))
+
+
+def driven_as_measured(lanes: WithSlopes, amplitude: np.ndarray) -> WithSlopes:
+    """Return paths at other drive amplitudes, which change with no number."""
+    zeros = jax.tree.map(np.zeros_like, lanes.slopes.drive)
+    slopes = eqx.tree_at(lambda p: p.drive, lanes.slopes, zeros)
+    return WithSlopes(driven(lanes.made, amplitude), slopes)
 
 
 @compiled

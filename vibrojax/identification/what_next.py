@@ -123,12 +123,18 @@ def _slopes(
     measured: Any = fit.measured[k]
     trial = CurveMisfit(maker, [measured])
     trial.unit = misfit.unit
+    if trial.levels is not None:  # one curve: at the drive that was usual
+        trial.levels = np.median(measured.drive_amplitude, keepdims=True)
     lanes = trial.lanes(fit.problem.of_measurement(k, fit.point[None]))
     curve = trial.curves(lanes.made)[0]
     if len(curve.frequency) < 2:
         return
     # The points of the curve take the place of the measured ones: distance 0, the same slopes.
     trial.frequency, trial.channels = curve.frequency[None], curve.channels[None]
+    if trial.rig_drive is not None:
+        trial.drive = curve.drive[None]
+        rate = 2 * np.pi * curve.frequency if trial.order else 1.0
+        trial.rig_drive = (curve.drive / rate**trial.order)[None]
     trial.deviation = np.maximum(noise * curve.channels, 1e-3 * curve.channels.max(axis=0))[None]
     _, near = trial.nearest(lanes, [curve], np.zeros(1, int), fit.frequency_scale, False)
     assert near is not None
