@@ -22,7 +22,7 @@ from vibrojax.identification.as_measured import (
     sensor_of,
 )
 from vibrojax.identification.nearest_point import Nearest, Target, nearest_points, settled
-from vibrojax.identification.sensor import seen_from, wrapped
+from vibrojax.identification.sensor import seen_back, seen_from, wrapped
 from vibrojax.identification.trial_rigs import (
     SAMPLES,
     WIDTHS,
@@ -354,6 +354,17 @@ class CurveMisfit:
         wanted, phase = self._wanted(which)
         seen = seen_from(self.sensor, seen, phase)
         return ((wanted - seen) / self.deviation[which]).reshape(len(values), -1)
+
+    def fitted(
+        self, residual: np.ndarray, which: int, frequency_scale: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Frequency and channels of the nearest points, from their residuals (by coordinates)."""
+        channels, phase = self._wanted(which)
+        off = np.where(np.isfinite(self.deviation[which]), self.deviation[which], 0.0)
+        channels = channels - residual[:, 1:] * off
+        scale = self.unit * (HELD if self.pointwise else frequency_scale)
+        frequency = self.frequency[which] - residual[:, 0] * scale
+        return frequency, channels if phase is None else seen_back(self.sensor, channels, phase)
 
     def residuals(
         self,

@@ -13,7 +13,7 @@ from vibrojax.branches.tracing import free_motion
 from vibrojax.ensemble.ranges import Range
 from vibrojax.identification.coordinates import Coordinate
 from vibrojax.identification.curve_misfit import CurveMisfit
-from vibrojax.identification.findings import early_jumps, misfit, modes_left_out
+from vibrojax.identification.findings import early_jumps, misfit, modes_left_out, used
 from vibrojax.identification.fit import Alternative
 from vibrojax.identification.fitted_data import fitted_data
 from vibrojax.identification.identification import Identification
@@ -25,9 +25,10 @@ from vibrojax.identification.problem import (
     measurements_of,
     repetitions_of,
 )
-from vibrojax.identification.trial_rigs import SAMPLES
+from vibrojax.identification.trial_rigs import SAMPLES, driven
 from vibrojax.identification.uncertainty import influence, uncertainty
 from vibrojax.measured.curve import MeasuredCurve
+from vibrojax.measured.jumps import Jump
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.steady.batches import take
 from vibrojax.steady.condensed import cell_average
@@ -166,13 +167,11 @@ class _Fits:
         self.notes: list[list[str]] = []
         for parts in data:
             assumed = [sentence for m in parts if (sentence := m.noise().sentence) is not None]
-            self.notes.append([note for m in parts for note in m.notes] + assumed)
+            taken = [one for m in parts if isinstance(m, MeasuredCurve) for one in used(m)]
+            self.notes.append([note for m in parts for note in m.notes] + assumed + taken)
         self.ended: list[list[tuple[np.ndarray, float]]] = [[] for _ in data]
         self.evaluations = np.zeros(len(data), int)
-        values = sum(
-            m.points * m.sensor.channels if isinstance(m, CurveMisfit) else m.size
-            for m in problem.misfits
-        )
+        values = sum(m.values if isinstance(m, CurveMisfit) else m.size for m in problem.misfits)
         self.degrees_of_freedom = max(values - len(problem.coordinates), 1)
 
     def run(self, searches: int) -> None:
@@ -218,11 +217,14 @@ class _Fits:
             if jump is None:
                 continue
             paths = part.lanes(problem.of_measurement(i, problem.guess[None])).made
-            gap = free_stop_amplitude(paths, jump)
+            if part.rig_drive is not None:
+                paths = driven(paths, part.rig_drive[k, [jump.last]])
+            place = (jump.before + jump.after) / 2
+            gap = free_stop_amplitude(paths, place)
             point[at] = np.clip(problem.coordinates[at].inside(gap), low[at], high[at])
             self.notes[k].append(
                 f"The search starts from a gap of {gap:.4g} m, the contact-free amplitude at the "
-                f"stop where the curve jumps up ({jump:.5g})."
+                f"stop where the curve jumps up ({place:.5g})."
             )
         return point
 
@@ -256,16 +258,18 @@ class _Fits:
         predictions, warnings = [], []
         for i, (part, slopes) in enumerate(own):
             m, model, curve, width = self.data[k][i], problem.misfits[i], None, 1
+            fitted = None
             if isinstance(model, CurveMisfit) and isinstance(m, MeasuredCurve):
                 curve = model.curves(model.lanes(problem.of_measurement(i, point[None])).made)[0]
                 width = 1 + model.sensor.channels
                 part, slopes = part[: m.size * width], slopes[: m.size * width]
+                fitted = model.fitted(part.reshape(-1, width), k, self.last)
                 warnings += early_jumps(m, curve, model.unit, max(4 * self.last, 1e-3))
             moved = influence(part, slopes, width)
             if curve is not None:  # distances, with the sign of the amplitude's part
                 part = part.reshape(-1, width)
                 part = np.sign(part[:, 1]) * np.linalg.norm(part, axis=1)
-            predictions.append(fitted_data(m, part, curve, moved))
+            predictions.append(fitted_data(m, part, curve, moved, fitted))
             warnings += misfit(chi_square, freedom, part[_order(m)])
         numbers = problem.numbers(point)
         stiff = [i for i, c in enumerate(problem.coordinates) if "stiffness" in c.argument]
@@ -323,12 +327,12 @@ def _order(measured: Measurement) -> Any:
     return slice(None)
 
 
-def jump_up(measured: MeasuredCurve) -> float | None:
-    """Frequency at which the amplitude jumps up, where it does."""
+def jump_up(measured: MeasuredCurve) -> Jump | None:
+    """Where the amplitude jumps up, if it does."""
     ups = [j for j in measured.jumps() if j.change > 1]
     # Down from above resonance is where contact begins by a jump.
     ups.sort(key=lambda j: j.direction)
-    return (ups[0].before + ups[0].after) / 2 if ups else None
+    return ups[0] if ups else None
 
 
 def free_stop_amplitude(paths: FrequencyPath, frequency: float) -> float:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from vibrojax._tools.checks import check_choice, check_names
@@ -161,11 +162,13 @@ class Problem:
         maker = Maker(self.make, tuple(self.unknowns[k]), fixed, static)
         if isinstance(same[0], MeasuredHistory):
             return HistoryMisfit(maker, same)
-        check_drive(sample)
+        _check_drive(sample, same[0], self.objective)
         _check_signal(sample, same[0])
         pointwise = self.objective != "distance"
         misfit = (FoldMisfit if self.objective == "folds" else CurveMisfit)(maker, same, pointwise)
-        paths = misfit.lanes(np.array([[guess[i] for i in self.unknowns[k].values()]])).made
+        paths, slopes = misfit.lanes(np.array([[guess[i] for i in self.unknowns[k].values()]]))
+        if misfit.drive is not None:
+            _check_not_fitted(maker.names, slopes)
         natural = np.asarray(paths.equations.angular_frequency)[0] / float(paths.unit[0])
         if not misfit.is_ratio:
             misfit.unit = float(natural[0])
@@ -249,6 +252,41 @@ class Problem:
                     "identified from it. Drive harder, close the gap, or measure nearer to "
                     "resonance."
                 )
+
+
+def _check_drive(system: AbstractSystem, measured: MeasuredCurve, objective: str) -> None:
+    """Refuse a system that nothing drives, or not what was measured."""
+    name, drive, of_base = measured.drive_signal, system.drive, system.drive.signal_factor < 0
+    if name and (name == "force") == of_base:
+        kind = "the base moves" if of_base else "a force drives"
+        raise ValueError(
+            f"drive_signal = {name!r} was measured, but {kind} the system, {drive!r}. Give the "
+            "system the drive that was measured, or leave drive_amplitude and drive_signal out "
+            "(columns=dict(drive=None))."
+        )
+    if measured.drive_amplitude is None or not drive.signal_factor:
+        check_drive(system)
+    elif objective != "distance":
+        raise ValueError(
+            f"objective = {objective!r} takes the drive to be the same at all points, but the "
+            "curve has drive_amplitude. Use objective='distance', or leave it out."
+        )
+
+
+def _check_not_fitted(names: tuple[str, ...], slopes: Any) -> None:
+    """Refuse a number to fit that does nothing but drive, where the drive was measured."""
+    changes = [
+        np.reshape(leaf, (len(names), -1)).any(axis=1)
+        for part in (slopes.equations, slopes.unit)
+        for leaf in jax.tree.leaves(part)
+    ]
+    idle = ~np.any(changes, axis=0)
+    for name, still in zip(names, idle, strict=True):
+        if still:
+            raise ValueError(
+                f"{name} changes nothing but the drive of the system, which was measured "
+                "(drive_amplitude). Leave one of the two out."
+            )
 
 
 def _check_signal(system: AbstractSystem, measured: MeasuredCurve) -> None:

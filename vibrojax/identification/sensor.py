@@ -96,6 +96,15 @@ def seen_from(sensor: Sensor, channels: Any, phase: Any, xp: Any = np) -> Any:
     return xp.concatenate([xp.stack(pair, axis=-1), rest], axis=-1)
 
 
+def seen_back(sensor: Sensor, channels: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """Undo `seen_from`."""
+    size, angle = channels[..., 0], channels[..., 1]
+    if sensor.is_complex:
+        size, angle = np.hypot(size, angle), np.arctan2(angle, size)
+    pair = np.stack([size, angle + phase], axis=-1)
+    return np.concatenate([pair, channels[..., 2:]], axis=-1)
+
+
 def wrapped(angle: Any, xp: Any = np) -> Any:
     """Return an angle (rad) within half a turn of 0."""
     return angle - 2 * np.pi * xp.round(angle / (2 * np.pi))
