@@ -9,7 +9,7 @@ from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.measured.kinds import ORDERS
 from vibrojax.measured.noise import lever
 
-SPACING = 0.05
+SPACING = 0.03
 """Of drive levels at which curves are traced, relative: a motion near one is a guess near it."""
 MOST_LEVELS = 16
 
