@@ -36,7 +36,7 @@ SEEN = dict(is_ratio=False, amplitude_deviation=[1e-5])
 @pytest.fixture(scope="module")
 def make(rig):
     def make(stiffness=5500.0, damping=2.0, drive=BASE):
-        made = rig(stiffness=stiffness, damping=damping)
+        made = rig(stiffness=stiffness, damping=damping, num_modes=1)
         return dataclasses.replace(made, drive=vj.BaseMotion(drive))
 
     return make
@@ -46,7 +46,7 @@ def true_curve(make, drive, **about):
     """The curve of the true rig at some drives, stable and unstable, as the sensor sees it."""
     size = len(drive)
     blank = vj.io.MeasuredCurve(
-        np.linspace(0.9, 1.32, size),
+        np.linspace(0.9, 1.45, size),
         "frequency_ratio",
         np.ones(size),
         drive_amplitude=drive,
@@ -59,9 +59,9 @@ def true_curve(make, drive, **about):
 
 def wandering(make, seed=0, points=70):
     """Points measured while the drive fell by a fifth with the response, and noise of 2 %."""
-    curve = true_curve(make, BASE * np.linspace(0.8, 1.0, 9), is_ratio=False)
+    curve = true_curve(make, BASE * np.linspace(0.8, 1.0, 17), is_ratio=False)
     amplitude = curve.channels[:, 0]
-    wanted = BASE * (1 - 0.2 * amplitude / 5.2e-3)
+    wanted = BASE * (1 - 0.2 * amplitude / amplitude.max())
     near = np.flatnonzero(np.abs(np.log(curve.drive / wanted)) < 0.013)
     rng = np.random.default_rng(seed)
     at = np.sort(rng.choice(near, points, replace=False))
@@ -87,7 +87,7 @@ def test_a_drive_that_wanders_biases_nothing_where_it_is_known(make):
         assert fit.interval[name][0] < true < fit.interval[name][1]
     assert fit.estimate["stiffness"] == pytest.approx(5500, rel=0.03)
     assert fit.estimate["damping"] == pytest.approx(2.0, rel=0.15)
-    assert fit.warnings == ()
+    assert all("num_modes=1" in warning for warning in fit.warnings)
     assert any("at the drive that was measured there" in note for note in fit.notes)
     shown = fit.predictions[0]
     np.testing.assert_allclose(shown["fitted_amplitude"], data.amplitude, rtol=0.12)

@@ -266,7 +266,7 @@ class _Reader:
             self.table.lines[rows],
             part.get("phase"),
             part.get("phase_deviation"),
-            part.get("source" if whole else "drive"),
+            part.get("source" if self.own.with_phase else "drive"),
             self.own.drive_signal,
         )
         return _weighted(curve, part["weight"]) if "weight" in part else curve
