@@ -256,6 +256,7 @@ def test_a_whole_curve_with_its_unstable_part_and_phases(rig):
     assert whole.standard_deviation["stiffness"] < stable.standard_deviation["stiffness"]
     without = vj.identify(make, dataclasses.replace(held, phase=None), guess)
     assert whole.standard_deviation["damping"] < without.standard_deviation["damping"]
+    assert whole.what_next("damping").best.deviation < 1
     assert np.ptp(whole.predictions[0]["curve_phase"].values) < np.pi
     assert len(whole.plot().axes) == len(without.plot().axes) + 1
 
