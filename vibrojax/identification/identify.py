@@ -108,7 +108,11 @@ def identify(
     Least squares on the distance of every measured point from the response curve of the rig, which
     is followed by continuation through its folds: frequency differences count over a scale,
     amplitudes over their standard deviations. So a point is compared with the branch it is on,
-    whatever the sweep did, and a jump that came early biases nothing.
+    whatever the sweep did, and a jump that came early biases nothing. Unstable points, held by
+    control or by their phase, are on theirs.
+
+    Where a curve has a `drive_amplitude`, each of its points is compared at its own, in place of
+    the rig's, and a `phase` is fitted too.
 
     Parameters:
         make_system: function from named numbers to a system.
@@ -134,8 +138,9 @@ def identify(
         numbers: arguments of the function that are held fixed.
 
     Raises `ValueError` for an argument the function does not take, a guess outside its bounds,
-    fewer points than numbers, frequencies that do not overlap, or a curve that never touches the
-    stop (where only the stop is to be fitted).
+    fewer points than numbers, frequencies that do not overlap, a drive that is not the rig's kind
+    or that a number to fit does nothing but set, or a curve that never touches the stop (where only
+    the stop is to be fitted).
     """
     check_count("searches", searches)
     check_range("confidence", confidence, 0.5, 0.9999, allowed="from 0.5 to 0.9999")
