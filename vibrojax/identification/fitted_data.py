@@ -58,9 +58,9 @@ def fitted_data(
         told = "Change of the number without the point over its deviation"
         data["influence"] = ("point", "parameter"), influence, {"long_name": told, "units": "1"}
     if isinstance(measured, MeasuredHistory):
-        part = measured.windowed()
-        put("measured_time", "point", np.tile(part.time, len(part.channels)), "Time", "s")
-        put("channel", "point", np.repeat(list(part.channels), part.size), "Channel measured")
+        seen = measured.observations()
+        put("measured_time", "point", measured.time[seen.sample], "Time", "s")
+        put("channel", "point", np.array(list(measured.channels))[seen.channel], "Channel measured")
         return xarray.Dataset(data)
     assert curve is not None
     if measured.drive_amplitude is not None:

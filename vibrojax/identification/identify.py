@@ -52,7 +52,7 @@ APART = 3.0
 def identify(
     make_system: Callable[..., AbstractSystem],
     measured: Any,
-    guess: Mapping[str, float],
+    guess: Mapping[str, float | None],
     bounds: Mapping[str, Range] | None = None,
     *,
     together: Literal[True] = True,
@@ -71,7 +71,7 @@ def identify(
 def identify(
     make_system: Callable[..., AbstractSystem],
     measured: Any,
-    guess: Mapping[str, float],
+    guess: Mapping[str, float | None],
     bounds: Mapping[str, Range] | None = None,
     *,
     together: Literal[False],
@@ -90,7 +90,7 @@ def identify(
 def identify(
     make_system: Callable[..., AbstractSystem],
     measured: Any,
-    guess: Mapping[str, float],
+    guess: Mapping[str, float | None],
     bounds: Mapping[str, Any] | None = None,
     *,
     together: bool = True,
@@ -118,7 +118,10 @@ def identify(
         make_system: function from named numbers to a system.
         measured: `MeasuredCurve`, `MeasuredHistory`, several of either, or the path of a curve.
             Several are fitted at once; `parameters` of each are arguments that hold for it.
-        guess: first values of the numbers to fit, by argument of the function.
+        guess: first values of the numbers to fit, by argument of the function. Of histories also
+            numbers of the record itself: `initial_displacement`, `initial_velocity`, and of a
+            channel its `gain`, `offset` and `delay`, as `contact_force_offset`; None: begin with
+            what the history says, of a velocity else with its first one measured.
         bounds: `vj.Range(low, high)` for some of them.
         together: False to fit each element of the list `measured` by itself, all with the same
             settings, and return a list. All must have as many points; their curves are followed

@@ -15,6 +15,7 @@ from vibrojax._tools.types import AnyArray
 from vibrojax.branches.along import check_equations
 from vibrojax.branches.tracing import free_motion
 from vibrojax.ensemble.slopes import WithSlopes, systems_with_slopes, with_slopes
+from vibrojax.identification.record_numbers import RecordedBy, record_numbers_in
 from vibrojax.identification.sensor import observe
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.steady.condensed import balance, condensed_problem
@@ -84,12 +85,17 @@ class Maker:
         """What `read(system, how, *own)` makes of the rigs with these values (lanes by names)."""
         numbers = {n: jnp.full(len(values), v) for n, v in self.fixed.items()}
         numbers |= dict(zip(self.names, np.asarray(values, float).T, strict=True))
-        made = systems_with_slopes(self.make, self.static, self.names, numbers)
+        apart = record_numbers_in(self.make, self.names)
+        make: Any = RecordedBy(self.make, apart) if apart else self.make
+        made = systems_with_slopes(make, self.static, self.names, numbers)
         return _read(read, how, *made, tuple(jnp.asarray(part) for part in own))
 
     def system(self, values: Any) -> AbstractSystem:
         """Make one rig."""
-        return self.make(**self.static, **self.fixed, **dict(zip(self.names, values, strict=True)))
+        numbers = dict(zip(self.names, values, strict=True))
+        for name in record_numbers_in(self.make, self.names):
+            del numbers[name]
+        return self.make(**self.static, **self.fixed, **numbers)
 
 
 @compiled(lightly=True)
