@@ -95,7 +95,7 @@ class Held(NamedTuple):
         return cls(frequency, np.array(response), branch["stable"].values[at] == 1)
 
     def measured(self, seed: int, kind: str) -> vj.io.MeasuredCurve:
-        """Return points with noise: `complex`, their `amplitudes`, or the `stable` ones of these."""
+        """Return points with noise: `complex`, their `amplitudes`, or the `stable` of these."""
         response, deviation = with_noise(self.response, FLOOR, seed)
         kept = self.stable if kind == "stable" else np.ones(len(response), bool)
         return vj.io.MeasuredCurve(

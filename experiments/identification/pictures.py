@@ -220,6 +220,7 @@ def draw_whole(results: dict[str, Any], curves: dict[str, Any], path: Path) -> N
     (low, high), estimate = fit["interval"]["stiffness"], fit["estimate"]["stiffness"]
     title = f"{points['all']} points, {points['unstable']} of them unstable"
     finish(axes[0][0], f"{title}: stiffness {estimate:.0f} ({low:.0f} to {high:.0f}) N/m")
+    axes[0][0].set_xlim(0.88, 1.33)
     axes[1][0].set_xlabel("frequency ratio", fontsize=LABEL)
     legend(figure, axes[0][0], 2)
     figure.savefig(path)
