@@ -102,6 +102,7 @@ def test_a_drive_that_wanders_biases_nothing_where_it_is_known(make):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_ratios_are_over_the_drive_of_their_point(make):
     data = wandering(make)
     ratio = dataclasses.replace(
@@ -123,7 +124,7 @@ def test_ratios_are_over_the_drive_of_their_point(make):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("signal", ["force", "acceleration"])
+@pytest.mark.parametrize("signal", [pytest.param("force", marks=pytest.mark.long), "acceleration"])
 def test_other_drives_than_a_displacement(rig, signal):
     """A force, and an acceleration of the base that stays the same while its displacement falls."""
     drive = vj.PointForce(0.05) if signal == "force" else vj.BaseMotion(BASE)
@@ -163,7 +164,9 @@ def test_other_drives_than_a_displacement(rig, signal):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("quantity", ["first_harmonic", "peak"])
+@pytest.mark.parametrize(
+    "quantity", ["first_harmonic", pytest.param("peak", marks=pytest.mark.long)]
+)
 def test_the_derivative_with_a_drive_per_point_and_phases(rig, quantity):
     def make(stiffness=5500.0, damping=2.0):
         return rig(stiffness=stiffness, damping=damping, num_modes=1)
@@ -211,6 +214,7 @@ def test_the_derivative_with_a_drive_per_point_and_phases(rig, quantity):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_whole_curve_with_its_unstable_part_and_phases(rig):
     """As held by stepped phase: exact motions, in their order, of no sweep."""
 
@@ -374,5 +378,11 @@ def test_curves_fitted_one_by_one_are_alike(make):
     driven = dataclasses.replace(data, drive_amplitude=[BASE])
     with pytest.raises(ValueError, match="the same quantities, phase and drive"):
         vj.identify(make, [data, driven], dict(stiffness=4000.0), together=False)
+
+
+@pytest.mark.slow
+def test_a_number_that_only_drives_is_not_fitted_to_a_measured_drive(make):
+    data = vj.io.MeasuredCurve(np.linspace(0.9, 1.3, 9), "frequency_ratio", np.ones(9))
+    driven = dataclasses.replace(data, drive_amplitude=[BASE])
     with pytest.raises(ValueError, match="drive changes nothing but the drive of the system"):
         vj.identify(make, driven, dict(stiffness=4000.0, drive=BASE))
