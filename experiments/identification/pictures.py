@@ -55,9 +55,9 @@ def draw_curve(
 ):
     """Draw a fitted curve, its unstable part dashed."""
     x, y = np.array(curve["curve_frequency"]), np.array(curve[f"curve_{what}"])
-    gone = ~np.array(curve["continues"], bool)
-    unstable = np.array(curve["unstable"], bool)
-    broken = np.where(gone, np.nan, y)
+    ends = np.flatnonzero(~np.array(curve["continues"], bool)) + 1
+    x, broken = (np.insert(values, ends, np.nan) for values in (x, y))
+    unstable = np.insert(np.array(curve["unstable"], bool), ends, False)
     # The point next to a change belongs to both, so that the line has no gap.
     beside = unstable | np.roll(unstable, 1) | np.roll(unstable, -1)
     axes.plot(x, np.where(unstable, np.nan, broken), color=color, lw=width, label=label, zorder=3)
