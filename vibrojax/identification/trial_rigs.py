@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -64,8 +65,16 @@ class Maker:
         """What `read(system, how, *own)` makes of the rigs with these values (lanes by names)."""
         numbers = {n: jnp.full(len(values), v) for n, v in self.fixed.items()}
         numbers |= dict(zip(self.names, np.asarray(values, float).T, strict=True))
-        made = systems_with_slopes(self.make, self.static, self.names, numbers)
-        return _read(read, how, *made, tuple(jnp.asarray(part) for part in own))
+        made, slopes = jax.device_get(
+            systems_with_slopes(self.make, self.static, self.names, numbers)
+        )
+        # What is the same in all rigs, as the modes of a beam whose stop is sought, is read once.
+        moves = jax.tree.map(lambda a, b: bool(np.any(b) or np.any(a != a[:1])), made, slopes)
+        if not any(jax.tree.leaves(moves)):
+            moves = True
+        moving, still = eqx.partition(made, moves)
+        still = jax.tree.map(lambda a: a[0], still)
+        return _read(read, how, still, moving, eqx.filter(slopes, moves), own)
 
     def system(self, values: Any) -> AbstractSystem:
         """Make one rig."""
@@ -73,11 +82,11 @@ class Maker:
 
 
 @compiled(lightly=True)
-def _read(read, how, systems, slopes, own) -> WithSlopes:
-    def one(system, slopes, own):
-        return with_slopes(lambda system: read(system, how, *own), system, slopes)
+def _read(read, how, still, moving, slopes, own) -> WithSlopes:
+    def one(moving, slopes, own):
+        return with_slopes(lambda m: read(eqx.combine(m, still), how, *own), moving, slopes)
 
-    return jax.vmap(one)(systems, slopes, own)
+    return jax.vmap(one)(moving, slopes, own)
 
 
 def frequency_path(system: AbstractSystem, is_ratio: bool) -> FrequencyPath:
