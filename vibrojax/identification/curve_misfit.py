@@ -11,7 +11,7 @@ from vibrojax.branches.continuation import Ending
 from vibrojax.branches.over_range import scale_of, trace_over
 from vibrojax.branches.tracing import Traced
 from vibrojax.ensemble.slopes import WithSlopes
-from vibrojax.identification.nearest_point import Nearest, Target, nearest_points, settled
+from vibrojax.identification.nearest_point import WIDTH, Nearest, Target, nearest_points, settled
 from vibrojax.identification.sensor import Sensor
 from vibrojax.identification.trial_rigs import (
     SAMPLES,
@@ -99,8 +99,9 @@ class CurveMisfit:
     def lanes(self, values: np.ndarray) -> WithSlopes:
         """Paths of the trial rigs with these numbers (lanes by names)."""
         index = filled_up(len(values), WIDTHS[-1])
-        made = self.maker.trials(frequency_path, self.is_ratio, values[index])
-        return take(WithSlopes(*jax.device_get(made)), slice(len(values)))
+        made, slopes = jax.device_get(self.maker.trials(frequency_path, self.is_ratio, values[index]))
+        changing = eqx.filter(slopes, jax.tree.map(lambda a: bool(np.any(a)), slopes))
+        return take(WithSlopes(made, changing), slice(len(values)))
 
     def curves(self, paths: FrequencyPath) -> list[Curve]:
         """Follow the response curves of all rigs over the measured range.
@@ -189,11 +190,11 @@ class CurveMisfit:
         def find(i, rounds=FEW_ROUNDS):
             return self.find(lanes, lane[i], take(target, i), depth[i], frequency[i], rounds, close)
 
-        nearest = in_batches(find, len(lane))
+        nearest = in_batches(find, len(lane), WIDTH)
         slow = np.flatnonzero(~settled(nearest, close))
         # The few that creep, next to folds; a search does without the last of their way.
         if precisely and len(slow):
-            again = in_batches(lambda i: find(slow[i], MANY_ROUNDS), len(slow))
+            again = in_batches(lambda i: find(slow[i], MANY_ROUNDS), len(slow), WIDTH)
             for whole, part in zip(nearest, again, strict=True):
                 whole[slow] = part
         # Of several guesses the one that came nearest.

@@ -6,10 +6,9 @@ import numpy as np
 
 from vibrojax.ensemble.slopes import WithSlopes
 from vibrojax.identification.curve_misfit import LOST, CurveMisfit
-from vibrojax.identification.nearest_point import Target
+from vibrojax.identification.nearest_point import WIDTH, Target
 from vibrojax.identification.trial_rigs import Curve, Maker
 from vibrojax.measured.curve import Jump, MeasuredCurve
-from vibrojax.steady.batches import BATCH
 
 MASKED = 2
 """Points left out on each side of a jump, where jumps are put on the folds."""
@@ -58,14 +57,14 @@ class FoldMisfit(CurveMisfit):
         step = max(abs(jump.after - jump.before), 1e-4 * middle)
         if not len(turns):
             return LOST / 100, 0.0
-        at = np.full(BATCH, turns[np.argmin(np.abs(curve.frequency[turns] - middle))])
+        at = np.full(WIDTH, turns[np.argmin(np.abs(curve.frequency[turns] - middle))])
         target = Target(
-            np.full(BATCH, middle),
+            np.full(WIDTH, middle),
             curve.channels[at],
-            np.full(BATCH, step),
-            np.ones((BATCH, self.sensor.channels)),
+            np.full(WIDTH, step),
+            np.ones((WIDTH, self.sensor.channels)),
         )
         # No rounds: the derivative at the fold itself, where the frequency is an extreme.
-        here = np.full(BATCH, lane)
+        here = np.full(WIDTH, lane)
         nearest = self.find(lanes, here, target, curve.depth[at], curve.frequency[at], 0, 0.0)
         return (middle - curve.frequency[at[0]]) / step, np.asarray(nearest.derivative)[0, 0]

@@ -19,13 +19,14 @@ from vibrojax.identification.sensor import Sensor, observe
 from vibrojax.steady.condensed import (
     balance,
     condensed_problem,
-    differentiate,
     solve_condensed,
 )
 from vibrojax.steady.paths import FrequencyPath, Place
 
 lax = jax.lax
 
+WIDTH = 32
+"""Points in one loop: few, as all go on until the last is there, and what is in hand is near."""
 LONGEST = 0.05
 """Longest step along the curve in one round, in the arclength of the continuation."""
 CONVERGED = 1e-3
@@ -82,32 +83,42 @@ def nearest_points(
     """
     samples = 2 * (depth.shape[-1] - 1)
     number = jax.tree.leaves(slopes)[0].shape[1]
+    still = jnp.zeros(number)
+
+    def at(path, slopes, depth, frequency, numbers):
+        """Residual of the balance and what a sensor sees, the numbers changed by so much."""
+        path = jax.tree.map(
+            lambda slope, value: value if slope is None else value + numbers @ slope,
+            *(slopes, path),
+            is_leaf=lambda leaf: leaf is None,
+        )
+        place = Place(path.equations, path.drive, frequency * path.unit)
+        problem = condensed_problem(
+            place.equations, place.drive, place.angular_frequency, samples=samples
+        )
+        per_second = samples * place.angular_frequency / (2 * jnp.pi)
+        here = balance(problem, depth, per_second, samples)
+        return here.residual, observe(sensor, place, problem, here.force, depth), (problem, here)
 
     def linearise(path, slopes, depth, frequency):
-        place = Place(path.equations, path.drive, frequency * path.unit)
+        def of(depth, frequency, numbers):
+            return at(path, slopes, depth, frequency, numbers)
 
-        def at(place):
-            problem = condensed_problem(
-                place.equations, place.drive, place.angular_frequency, samples=samples
-            )
-            per_second = samples * place.angular_frequency / (2 * jnp.pi)
-            here = balance(problem, depth, per_second, samples)
-            channels = observe(sensor, place, problem, here.force, depth)
-            return (here.residual, channels), (here, problem)
-
-        # How the place moves with the frequency, then with the numbers.
-        equations, drive = jax.tree.map(jnp.zeros_like, (path.equations, path.drive))
-        ways = jax.tree.map(
-            lambda zero, rows: jnp.concatenate([zero[None], rows]),
-            Place(equations, drive, path.unit),
-            Place(slopes.equations, slopes.drive, frequency * slopes.unit),
+        # Few channels and many motions: backwards what is seen, forwards what is out of balance.
+        channels, pull, (problem, here) = jax.vjp(
+            lambda *now: of(*now)[1:], depth, frequency, still, has_aux=True
         )
-        (residual, channels), linear, (here, problem) = jax.linearize(at, place, has_aux=True)
-        by_way, seen = jax.vmap(linear)(ways)
-        right = -jnp.concatenate([residual[None], by_way])
-        return place, problem, here, right, channels, seen
+        seen = jax.vmap(pull)(jnp.eye(channels.size))
+        residual, by_frequency = jax.jvp(
+            lambda f: of(depth, f, still)[0], (frequency,), (jnp.ones(()),)
+        )
+        by_number = jax.vmap(
+            lambda way: jax.jvp(lambda n: of(depth, frequency, n)[0], (still,), (way,))[1]
+        )(jnp.eye(number))
+        right = -jnp.concatenate([jnp.stack([residual, by_frequency]), by_number])
+        return problem, here, right, channels, seen
 
-    def advance(target, depth, frequency, last, place, problem, here, solved, channels, seen):
+    def advance(target, depth, frequency, last, solved, channels, seen):
         correction, direction, by_numbers = solved[0], solved[1], solved[2:]
         size2 = dot(depth, depth)
         length2 = dot(direction, direction) / size2 + 1 / scale**2
@@ -118,20 +129,9 @@ def nearest_points(
         across = across + direction * shifts[:, None, None]
         changes = jnp.concatenate([across, direction[None] * unit])
         shifts = jnp.append(shifts, unit)
-
-        def looks(change):
-            """Change of the channels with the motion."""
-            both = jnp.stack([change, differentiate(change, samples)])
-            value, rate = jnp.fft.irfft(both, samples)
-            force = jnp.fft.rfft(here.stiffness * value + here.damping * rate)
-            return jax.jvp(
-                lambda d, f: observe(sensor, place, problem, f, d),
-                (depth, here.force),
-                (change, force),
-            )[1]
-
-        rows = jax.vmap(looks)(changes) + seen[0] * shifts[:, None]
-        rows = rows.at[1:-1].add(seen[1:])
+        by_depth, by_frequency, by_number = seen
+        rows = jnp.einsum("nak,cak->nc", changes, by_depth).real + shifts[:, None] * by_frequency
+        rows = rows.at[1:-1].add(by_number.T)
 
         def scaled(frequencies, values):
             first = frequencies / target.frequency_scale
@@ -166,15 +166,13 @@ def nearest_points(
         lost = (k == rounds) & ~(last.newton < CONVERGED)
         depth = jnp.where(lost[:, None, None], guess[0], depth)
         frequency = jnp.where(lost, guess[1], frequency)
-        place, problem, here, right, channels, seen = jax.vmap(linearise)(
-            paths, slopes, depth, frequency
-        )
+        problem, here, right, channels, seen = jax.vmap(linearise)(paths, slopes, depth, frequency)
         touching = (here.stiffness != 0) | (here.damping != 0)
         needed = jnp.max(jnp.sum(touching, axis=(1, 2)))
         level = jnp.searchsorted(jnp.asarray(sizes), needed)
         solved = lax.switch(level, solvers, problem, here, right)
         depth, frequency, newton, way, step, *rest = jax.vmap(advance)(
-            target, depth, frequency, last, place, problem, here, solved, channels, seen
+            target, depth, frequency, last, solved, channels, seen
         )
         there = Nearest(newton, way, step, ~lost, *rest)
         return k + 1, depth, frequency, there

@@ -19,7 +19,7 @@ from vibrojax.steady.condensed import balance, condensed_problem
 from vibrojax.steady.paths import FrequencyPath, Place
 
 SAMPLES = 128
-WIDTHS = (8,)
+WIDTHS = (1, 8)
 """Rigs that are followed side by side in one loop."""
 
 
