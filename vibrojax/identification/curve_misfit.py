@@ -1,6 +1,7 @@
 """Distance of measured points from the response curves of many trial rigs at once."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,6 +14,7 @@ from vibrojax.branches.tracing import Traced
 from vibrojax.ensemble.slopes import WithSlopes
 from vibrojax.identification.nearest_point import WIDTH, Nearest, Target, nearest_points, settled
 from vibrojax.identification.sensor import Sensor
+from vibrojax.identification.trail import Kept, Trail
 from vibrojax.identification.trial_rigs import (
     SAMPLES,
     WIDTHS,
@@ -42,6 +44,8 @@ FAR_AWAY = 1e6
 """A gap that is never closed, m."""
 LOST = 1e3
 """Residual of every point of a rig without a curve, in standard deviations."""
+Guesses = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Of nearest points: index of the measured point, motion, frequency."""
 
 
 def _both(amplitude: np.ndarray | None, force: np.ndarray | None) -> np.ndarray:
@@ -163,16 +167,23 @@ class CurveMisfit:
     def nearest(
         self,
         lanes: WithSlopes,
-        curves: list[Curve],
+        starts: Sequence[Curve | Guesses],
         which: np.ndarray,
         frequency_scale: float,
         precisely: bool,
     ) -> tuple[np.ndarray, Nearest | None]:
-        """Find the nearest points; which rigs have a curve, and the points of those, in a row."""
-        have = np.flatnonzero([c.continues.any() for c in curves])
+        """Find the nearest points; which rigs have any, and the points of those, in a row.
+
+        They are looked for from the curve of each rig, or from guesses.
+        """
+        guesses = [
+            self._guesses(start, int(k), frequency_scale) if isinstance(start, Curve) else start
+            for start, k in zip(starts, which, strict=True)
+        ]
+        have = np.flatnonzero([len(guess[0]) for guess in guesses])
         if not len(have):
             return have, None
-        starts = [self._guesses(curves[k], int(which[k]), frequency_scale) for k in have]
+        starts = [guesses[k] for k in have]
         lane = np.repeat(have, [len(start[0]) for start in starts])
         point, depth, frequency = (np.concatenate(part) for part in zip(*starts, strict=True))
         # Like with like: a batch takes as long as its longest contact.
@@ -219,11 +230,11 @@ class CurveMisfit:
             close=jnp.asarray(close),
         )
 
-    def _guesses(
-        self, curve: Curve, which: int, frequency_scale: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """First guesses on the traced polygon: index of the measured point, motion, frequency."""
+    def _guesses(self, curve: Curve, which: int, frequency_scale: float) -> Guesses:
+        """First guesses on the traced polygon."""
         start = np.flatnonzero(curve.continues)
+        if not len(start):
+            return np.zeros(0, int), curve.depth[:0], curve.frequency[:0]
         if self.pointwise:
             point, place, share = self._branch_ends(curve, start, which)
         else:
@@ -308,22 +319,63 @@ class CurveMisfit:
         frequency_scale: float,
         *,
         precisely: bool = False,
+        trail: Trail | None = None,
+        keys: Sequence[Hashable] = (),
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals of all rigs (lanes by `size`) and their derivatives in the numbers.
 
         `values` has lanes by numbers, `which` the repetition that every lane is compared with.
-        `precisely` goes on with points that would move only a little more.
+        `precisely` goes on with points that would move only a little more. With a `trail` lanes go
+        on from what it keeps under their `keys`, if it is near; curves are followed for the others.
         """
-        lanes = self.lanes(values)
-        curves = self.curves(lanes.made)
-        usable, nearest = self.nearest(lanes, curves, which, frequency_scale, precisely)
-        rows, names = self.points * (1 + self.sensor.channels), len(self.maker.names)
-        residual = np.full((len(curves), rows), LOST)
-        derivative = np.zeros((len(curves), rows, names))
+        lanes, rows = self.lanes(values), self.points * (1 + self.sensor.channels)
+        starts = self._starts(lanes.made, values, trail, keys)
+        usable, nearest = self.nearest(lanes, starts, which, frequency_scale, precisely)
+        residual = np.full((len(values), rows), LOST)
+        derivative = np.zeros((len(values), rows, len(self.maker.names)))
         if nearest is not None:
             residual[usable] = np.reshape(nearest.residual, (-1, rows))
-            derivative[usable] = np.reshape(nearest.derivative, (-1, rows, names))
-        return self._with_jumps(lanes, curves, which, residual, derivative)
+            derivative[usable] = np.reshape(nearest.derivative, (-1, rows, derivative.shape[2]))
+        if trail is None:
+            return self._with_jumps(lanes, starts, which, residual, derivative)
+        lost = []
+        for row, k in enumerate(usable):
+            own = take(nearest, slice(row * self.points, (row + 1) * self.points))
+            curve = starts[k] if isinstance(starts[k], Curve) else None
+            if curve is None and not own.found.all():
+                lost.append(k)
+                del trail[keys[k]]
+                continue
+            kept = Kept(values[k], float(residual[k] @ residual[k]), own, curve)
+            if keys[k] not in trail or kept.cost <= trail[keys[k]].cost:
+                trail[keys[k]] = kept
+        if lost:
+            residual[lost], derivative[lost] = self.residuals(
+                values[lost],
+                which[lost],
+                frequency_scale,
+                precisely=precisely,
+                trail=trail,
+                keys=[keys[k] for k in lost],
+            )
+        return residual, derivative
+
+    def _starts(
+        self, paths: FrequencyPath, values: np.ndarray, trail: Trail | None, keys
+    ) -> list[Any]:
+        """Where to look for the nearest points of every lane: on its curve, or at some guesses."""
+        starts: list[Any] = [None] * len(values)
+        for k, key in enumerate(keys if trail else ()):
+            kept = trail.get(key)
+            ahead = None if kept is None else kept.ahead(values[k], self.scale)
+            starts[k] = None if ahead is None else (np.arange(self.points), *ahead)
+        far = np.array([k for k, start in enumerate(starts) if start is None], int)
+        if len(far):
+            _, first, same = np.unique(values[far], axis=0, return_index=True, return_inverse=True)
+            curves = self.curves(take(paths, far[first]))
+            for k, curve in zip(far, same.ravel(), strict=True):
+                starts[k] = curves[curve]
+        return starts
 
     def _with_jumps(self, lanes: WithSlopes, curves: list[Curve], which, residual, derivative):
         """Leave all as it is; see `FoldMisfit`."""

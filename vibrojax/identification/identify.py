@@ -25,6 +25,7 @@ from vibrojax.identification.problem import (
     measurements_of,
     repetitions_of,
 )
+from vibrojax.identification.trail import Trail
 from vibrojax.identification.trial_rigs import SAMPLES
 from vibrojax.identification.uncertainty import influence, uncertainty
 from vibrojax.measured.curve import MeasuredCurve
@@ -232,9 +233,12 @@ class _Fits:
         low, high = np.maximum(low, middle - FARTHEST), np.minimum(high, middle + FARTHEST)
         for share, tolerance in STAGES:
             scale = self.first ** (1 - share) * self.last**share
+            trail: Trail = {}
 
-            def evaluate(points, lanes, scale=scale):
-                return self.problem.evaluate(points, which[lanes], scale)
+            def evaluate(points, lanes, scale=scale, trail=trail):
+                return self.problem.evaluate(
+                    points, which[lanes], scale, trail=trail, starts=lanes
+                )
 
             found = self.search(evaluate, points, low, high, tolerance)
             points, cost = found.point, found.cost

@@ -54,6 +54,11 @@ class Nearest(NamedTuple):
     """Measured minus nearest, in units of the scales: frequency first, then the channels."""
     derivative: Float[Array, "points coordinates numbers"]
     """Of the residual in the numbers sought, the nearest point following."""
+    depth: Complex[Array, "points stops harmonics"]
+    frequency: Float[Array, " points"]
+    depth_slope: Complex[Array, "points numbers stops harmonics"]
+    """Derivative of the motion in the numbers, and of its frequency: where the point goes."""
+    frequency_slope: Float[Array, "points numbers"]
 
 
 def settled(nearest: Any, close: Any) -> Any:
@@ -118,7 +123,7 @@ def nearest_points(
         right = -jnp.concatenate([jnp.stack([residual, by_frequency]), by_number])
         return problem, here, right, channels, seen
 
-    def advance(target, depth, frequency, last, solved, channels, seen):
+    def advance(target, depth, frequency, last, lost, solved, channels, seen):
         correction, direction, by_numbers = solved[0], solved[1], solved[2:]
         size2 = dot(depth, depth)
         length2 = dot(direction, direction) / size2 + 1 / scale**2
@@ -149,33 +154,37 @@ def nearest_points(
         normal = line / jnp.linalg.norm(line)
         derivative = -lines[1:-1].T
         derivative = derivative - normal[:, None] * (normal @ derivative)
-        return (
-            depth + across[0] + step * changes[-1],
-            frequency + shifts[0] + step * unit,
-            newton,
-            way,
-            step,
+        follows = -(lines[1:-1] @ line) / (line @ line)
+        return Nearest(
+            newton=newton,
+            way=way,
+            step=step,
+            found=~lost,
             # As it will be after this step, to first order.
-            residual - lines[0] - way * line,
-            derivative,
+            residual=residual - lines[0] - way * line,
+            derivative=derivative,
+            depth=depth + across[0] + step * changes[-1],
+            frequency=frequency + shifts[0] + step * unit,
+            depth_slope=across[1:] + follows[:, None, None] * changes[-1],
+            frequency_slope=shifts[1:-1] + follows * unit,
         )
 
     def turn(carry):
-        k, depth, frequency, last = carry[:4]
+        k, last = carry
         # In the last round what did not get there goes back to its guess.
         lost = (k == rounds) & ~(last.newton < CONVERGED)
-        depth = jnp.where(lost[:, None, None], guess[0], depth)
-        frequency = jnp.where(lost, guess[1], frequency)
-        problem, here, right, channels, seen = jax.vmap(linearise)(paths, slopes, depth, frequency)
+        at_depth = jnp.where(lost[:, None, None], depth, last.depth)
+        at_frequency = jnp.where(lost, frequency, last.frequency)
+        problem, here, right, channels, seen = jax.vmap(linearise)(
+            paths, slopes, at_depth, at_frequency
+        )
         touching = (here.stiffness != 0) | (here.damping != 0)
         needed = jnp.max(jnp.sum(touching, axis=(1, 2)))
         level = jnp.searchsorted(jnp.asarray(sizes), needed)
         solved = lax.switch(level, solvers, problem, here, right)
-        depth, frequency, newton, way, step, *rest = jax.vmap(advance)(
-            target, depth, frequency, last, solved, channels, seen
+        return k + 1, jax.vmap(advance)(
+            target, at_depth, at_frequency, last, lost, solved, channels, seen
         )
-        there = Nearest(newton, way, step, ~lost, *rest)
-        return k + 1, depth, frequency, there
 
     unknowns = depth.shape[1] * samples
     sizes = (*(unknowns * k // 16 for k in (1, 5, 9)), unknowns)
@@ -185,10 +194,9 @@ def nearest_points(
     ]
 
     def unfinished(carry):
-        return (carry[0] <= rounds) & ~jnp.all(settled(carry[3], close))
+        return (carry[0] <= rounds) & ~jnp.all(settled(carry[1], close))
 
     points, size = frequency.shape[0], 1 + sensor.channels
-    guess = (depth, frequency)
     far = jnp.full(points, jnp.inf)
     first = Nearest(
         newton=far,
@@ -197,5 +205,9 @@ def nearest_points(
         found=jnp.zeros(points, bool),
         residual=jnp.zeros((points, size)),
         derivative=jnp.zeros((points, size, number)),
+        depth=jnp.asarray(depth),
+        frequency=jnp.asarray(frequency),
+        depth_slope=jnp.zeros((points, number, *depth.shape[1:]), complex),
+        frequency_slope=jnp.zeros((points, number)),
     )
-    return lax.while_loop(unfinished, turn, (0, depth, frequency, first))[3]
+    return lax.while_loop(unfinished, turn, (0, first))[1]

@@ -15,6 +15,7 @@ from vibrojax.identification.coordinates import Coordinate, coordinate_of
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.fold_misfit import FoldMisfit
 from vibrojax.identification.history_misfit import HistoryMisfit
+from vibrojax.identification.trail import Trail
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory
@@ -216,12 +217,20 @@ class Problem:
         frequency_scale: float,
         *,
         precisely: bool = False,
+        trail: Trail | None = None,
+        starts: Sequence[int] | np.ndarray = (),
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals and their derivatives in the coordinates; `which`: repetition of each lane."""
+        """Residuals and their derivatives in the coordinates; `which`: repetition of each lane.
+
+        With a `trail` the lanes of curves go on from what it keeps of their `starts`.
+        """
         slopes, residuals, jacobians = self.slopes(points), [], []
         for k, misfit in enumerate(self.misfits):
+            on: dict[str, Any] = {}
+            if trail is not None and isinstance(misfit, CurveMisfit) and not misfit.pointwise:
+                on = {"trail": trail, "keys": [(k, start) for start in starts]}
             residual, derivative = misfit.residuals(
-                self.of_measurement(k, points), which, frequency_scale, precisely=precisely
+                self.of_measurement(k, points), which, frequency_scale, precisely=precisely, **on
             )
             jacobian = np.zeros((*residual.shape, len(self.coordinates)))
             own = list(self.unknowns[k].values())
