@@ -1,7 +1,6 @@
 """Distance of measured points from the response curves of many trial rigs at once."""
 
-from collections.abc import Hashable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -14,7 +13,6 @@ from vibrojax.branches.tracing import Traced
 from vibrojax.ensemble.slopes import WithSlopes
 from vibrojax.identification.nearest_point import WIDTH, Nearest, Target, nearest_points, settled
 from vibrojax.identification.sensor import Sensor
-from vibrojax.identification.trail import Kept, Trail
 from vibrojax.identification.trial_rigs import (
     SAMPLES,
     WIDTHS,
@@ -103,7 +101,9 @@ class CurveMisfit:
     def lanes(self, values: np.ndarray) -> WithSlopes:
         """Paths of the trial rigs with these numbers (lanes by names)."""
         index = filled_up(len(values), WIDTHS[-1])
-        made, slopes = jax.device_get(self.maker.trials(frequency_path, self.is_ratio, values[index]))
+        made, slopes = jax.device_get(
+            self.maker.trials(frequency_path, self.is_ratio, values[index])
+        )
         changing = eqx.filter(slopes, jax.tree.map(lambda a: bool(np.any(a)), slopes))
         return take(WithSlopes(made, changing), slice(len(values)))
 
@@ -319,63 +319,22 @@ class CurveMisfit:
         frequency_scale: float,
         *,
         precisely: bool = False,
-        trail: Trail | None = None,
-        keys: Sequence[Hashable] = (),
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals of all rigs (lanes by `size`) and their derivatives in the numbers.
 
         `values` has lanes by numbers, `which` the repetition that every lane is compared with.
-        `precisely` goes on with points that would move only a little more. With a `trail` lanes go
-        on from what it keeps under their `keys`, if it is near; curves are followed for the others.
+        `precisely` goes on with points that would move only a little more.
         """
-        lanes, rows = self.lanes(values), self.points * (1 + self.sensor.channels)
-        starts = self._starts(lanes.made, values, trail, keys)
-        usable, nearest = self.nearest(lanes, starts, which, frequency_scale, precisely)
-        residual = np.full((len(values), rows), LOST)
-        derivative = np.zeros((len(values), rows, len(self.maker.names)))
+        lanes = self.lanes(values)
+        curves = self.curves(lanes.made)
+        usable, nearest = self.nearest(lanes, curves, which, frequency_scale, precisely)
+        rows, names = self.points * (1 + self.sensor.channels), len(self.maker.names)
+        residual = np.full((len(curves), rows), LOST)
+        derivative = np.zeros((len(curves), rows, names))
         if nearest is not None:
             residual[usable] = np.reshape(nearest.residual, (-1, rows))
-            derivative[usable] = np.reshape(nearest.derivative, (-1, rows, derivative.shape[2]))
-        if trail is None:
-            return self._with_jumps(lanes, starts, which, residual, derivative)
-        lost = []
-        for row, k in enumerate(usable):
-            own = take(nearest, slice(row * self.points, (row + 1) * self.points))
-            curve = starts[k] if isinstance(starts[k], Curve) else None
-            if curve is None and not own.found.all():
-                lost.append(k)
-                del trail[keys[k]]
-                continue
-            kept = Kept(values[k], float(residual[k] @ residual[k]), own, curve)
-            if keys[k] not in trail or kept.cost <= trail[keys[k]].cost:
-                trail[keys[k]] = kept
-        if lost:
-            residual[lost], derivative[lost] = self.residuals(
-                values[lost],
-                which[lost],
-                frequency_scale,
-                precisely=precisely,
-                trail=trail,
-                keys=[keys[k] for k in lost],
-            )
-        return residual, derivative
-
-    def _starts(
-        self, paths: FrequencyPath, values: np.ndarray, trail: Trail | None, keys
-    ) -> list[Any]:
-        """Where to look for the nearest points of every lane: on its curve, or at some guesses."""
-        starts: list[Any] = [None] * len(values)
-        for k, key in enumerate(keys if trail else ()):
-            kept = trail.get(key)
-            ahead = None if kept is None else kept.ahead(values[k], self.scale)
-            starts[k] = None if ahead is None else (np.arange(self.points), *ahead)
-        far = np.array([k for k, start in enumerate(starts) if start is None], int)
-        if len(far):
-            _, first, same = np.unique(values[far], axis=0, return_index=True, return_inverse=True)
-            curves = self.curves(take(paths, far[first]))
-            for k, curve in zip(far, same.ravel(), strict=True):
-                starts[k] = curves[curve]
-        return starts
+            derivative[usable] = np.reshape(nearest.derivative, (-1, rows, names))
+        return self._with_jumps(lanes, curves, which, residual, derivative)
 
     def _with_jumps(self, lanes: WithSlopes, curves: list[Curve], which, residual, derivative):
         """Leave all as it is; see `FoldMisfit`."""

@@ -15,7 +15,7 @@ from vibrojax.identification.coordinates import Coordinate, coordinate_of
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.fold_misfit import FoldMisfit
 from vibrojax.identification.history_misfit import HistoryMisfit
-from vibrojax.identification.trail import Trail
+from vibrojax.identification.trail import Trail, residuals_along
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory
@@ -226,12 +226,16 @@ class Problem:
         """
         slopes, residuals, jacobians = self.slopes(points), [], []
         for k, misfit in enumerate(self.misfits):
-            on: dict[str, Any] = {}
+            numbers = self.of_measurement(k, points)
             if trail is not None and isinstance(misfit, CurveMisfit) and not misfit.pointwise:
-                on = {"trail": trail, "keys": [(k, start) for start in starts]}
-            residual, derivative = misfit.residuals(
-                self.of_measurement(k, points), which, frequency_scale, precisely=precisely, **on
-            )
+                keys = [(k, start) for start in starts]
+                residual, derivative = residuals_along(
+                    trail, keys, misfit, numbers, which, frequency_scale, precisely
+                )
+            else:
+                residual, derivative = misfit.residuals(
+                    numbers, which, frequency_scale, precisely=precisely
+                )
             jacobian = np.zeros((*residual.shape, len(self.coordinates)))
             own = list(self.unknowns[k].values())
             jacobian[:, :, own] = derivative * slopes[:, None, own]
