@@ -29,6 +29,8 @@ from vibrojax.steady.paths import FrequencyPath
 MOST_POINTS = 300
 LONGEST_STEP = 0.16
 """Along the curve: generous, since nearest points are solved for."""
+FEW = 3
+"""Curves that are not worth a wide loop."""
 MARGIN = 0.02
 """How far beyond the measured frequencies a curve is followed, relative."""
 FEW_ROUNDS, MANY_ROUNDS = 4, 30
@@ -120,7 +122,17 @@ class CurveMisfit:
         from_high = (free[0][1] & ~free[1][1])[:lanes]
 
         def trace(index: np.ndarray, down: np.ndarray) -> list[Traced]:
+            # What a few lanes would wait for in a wide loop costs more than going one by one.
+            few = len(index) % WIDTHS[-1]
+            whole = len(index) - (few if few <= FEW else 0)
+            parts = zip(np.split(index, [whole]), (WIDTHS[-1:], WIDTHS[:1]), strict=True)
+            return [one for part, widths in parts for one in side_by_side(part, down, widths)]
+
+        def side_by_side(index, down, widths) -> list[Traced]:
+            if not len(index):
+                return []
             low, high = (depth[index] for depth, _ in free)
+            down = down[index]
             return trace_over(
                 take(paths, index),
                 np.where(down, self.high, self.low),
@@ -132,14 +144,14 @@ class CurveMisfit:
                 longest=LONGEST_STEP,
                 samples=SAMPLES,
                 max_points=MOST_POINTS,
-                widths=WIDTHS,
+                widths=widths,
             )
 
         pieces = [[piece] for piece in trace(np.arange(lanes), from_high)]
         short = [k for k, (piece,) in enumerate(pieces) if piece.ending is not Ending.completed]
         if short:
             again = np.array(short)
-            for k, piece in zip(short, trace(again, ~from_high[again]), strict=True):
+            for k, piece in zip(short, trace(again, ~from_high), strict=True):
                 pieces[k].append(piece)
         return self._seen(paths, pieces)
 
@@ -172,20 +184,18 @@ class CurveMisfit:
         frequency_scale: float,
         precisely: bool,
     ) -> tuple[np.ndarray, Nearest | None]:
-        """Find the nearest points; which rigs have any, and the points of those, in a row.
+        """Find the nearest points; return their rows (of lanes by measured points), and them.
 
-        They are looked for from the curve of each rig, or from guesses.
+        They are looked for from the curve of each rig, or from guesses of some of them.
         """
         guesses = [
             self._guesses(start, int(k), frequency_scale) if isinstance(start, Curve) else start
             for start, k in zip(starts, which, strict=True)
         ]
-        have = np.flatnonzero([len(guess[0]) for guess in guesses])
-        if not len(have):
-            return have, None
-        starts = [guesses[k] for k in have]
-        lane = np.repeat(have, [len(start[0]) for start in starts])
-        point, depth, frequency = (np.concatenate(part) for part in zip(*starts, strict=True))
+        lane = np.repeat(np.arange(len(guesses)), [len(guess[0]) for guess in guesses])
+        if not len(lane):
+            return lane, None
+        point, depth, frequency = (np.concatenate(part) for part in zip(*guesses, strict=True))
         # Like with like: a batch takes as long as its longest contact.
         order = np.argsort(np.sum(np.fft.irfft(depth, SAMPLES) > 0, axis=(1, 2)), kind="stable")
         lane, point, depth, frequency = lane[order], point[order], depth[order], frequency[order]
@@ -209,10 +219,10 @@ class CurveMisfit:
             for whole, part in zip(nearest, again, strict=True):
                 whole[slow] = part
         # Of several guesses the one that came nearest.
-        row = np.searchsorted(have, lane) * self.points + point
+        row = lane * self.points + point
         order = np.lexsort((np.sum(nearest.residual**2, axis=1), row))
-        _, first = np.unique(row[order], return_index=True)
-        return have, take(nearest, order[first])
+        rows, first = np.unique(row[order], return_index=True)
+        return rows, take(nearest, order[first])
 
     def find(
         self, lanes: WithSlopes, lane, target: Target, depth, frequency, rounds, close
@@ -327,13 +337,14 @@ class CurveMisfit:
         """
         lanes = self.lanes(values)
         curves = self.curves(lanes.made)
-        usable, nearest = self.nearest(lanes, curves, which, frequency_scale, precisely)
-        rows, names = self.points * (1 + self.sensor.channels), len(self.maker.names)
-        residual = np.full((len(curves), rows), LOST)
-        derivative = np.zeros((len(curves), rows, names))
+        rows, nearest = self.nearest(lanes, curves, which, frequency_scale, precisely)
+        width, names = 1 + self.sensor.channels, len(self.maker.names)
+        residual = np.full((len(curves) * self.points, width), LOST)
+        derivative = np.zeros((*residual.shape, names))
         if nearest is not None:
-            residual[usable] = np.reshape(nearest.residual, (-1, rows))
-            derivative[usable] = np.reshape(nearest.derivative, (-1, rows, names))
+            residual[rows], derivative[rows] = nearest.residual, nearest.derivative
+        residual = residual.reshape(len(curves), -1)
+        derivative = derivative.reshape(*residual.shape, names)
         return self._with_jumps(lanes, curves, which, residual, derivative)
 
     def _with_jumps(self, lanes: WithSlopes, curves: list[Curve], which, residual, derivative):

@@ -74,9 +74,10 @@ class Searches:
         rest = repetitions[1:]
         if len(rest):
             end = np.repeat(self.best(0).point[None], len(rest), axis=0)
-            starts = np.arange(len(rest))
-            explained = ~self._is_poor(self._costs(end, rest, self.last, {}, starts))
-            self._search(end[explained], rest[explained], {}, STAGES[-1:])
+            starts, trail = np.arange(len(rest)), Trail()
+            explained = ~self._is_poor(self._costs(end, rest, self.last, trail, starts))
+            trail = trail if explained.all() else {}
+            self._search(end[explained], rest[explained], trail, STAGES[-1:])
             rest, trail = rest[~explained], {}
             self._search(self._look_around(begin[rest], rest, trail), rest, trail)
         others = spread_starts(problem.guess, problem.coordinates, searches - 1)

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vibrojax.branches.continuation import dot
-from vibrojax.identification.curve_misfit import LOST, CurveMisfit, Guesses
-from vibrojax.identification.nearest_point import CONVERGED, Nearest
+from vibrojax.branches.tracing import put
+from vibrojax.identification.curve_misfit import LOST, NEAR_ENOUGH, CurveMisfit, Guesses
+from vibrojax.identification.nearest_point import CONVERGED, Nearest, settled
 from vibrojax.identification.trial_rigs import Curve
 from vibrojax.steady.batches import take
 from vibrojax.steady.paths import FrequencyPath
@@ -31,8 +32,15 @@ class Kept(NamedTuple):
         """Sum of squares."""
         return float(np.sum(self.nearest.residual**2))
 
-    def ahead(self, values: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """Predict motions and frequencies of the nearest points of another trial.
+    @property
+    def rests(self) -> np.ndarray:
+        """Whether each point stays where it is: no contact there, so no number moves it."""
+        known = self.nearest
+        moves = np.any(known.depth_slope, axis=(1, 2, 3)) | np.any(known.frequency_slope, axis=1)
+        return settled(known, NEAR_ENOUGH) & ~moves
+
+    def ahead(self, values: np.ndarray, scale: float) -> Guesses | None:
+        """Predict the nearest points of another trial, but for those that rest.
 
         `scale` is the change of frequency that counts as much as a motion changing by its size.
         None where one of the points is not known well, or goes far.
@@ -44,7 +52,8 @@ class Kept(NamedTuple):
         far = np.sqrt(dot(change, change) / size + (shift / scale) ** 2)
         if not (known.found & (known.newton < CONVERGED) & (far < FARTHEST)).all():
             return None
-        return known.depth + change, known.frequency + shift
+        point = np.flatnonzero(~self.rests)
+        return point, (known.depth + change)[point], (known.frequency + shift)[point]
 
 
 Trail = dict[Hashable, Kept]
@@ -67,14 +76,14 @@ def residuals_along(
     residual = np.full((len(values), misfit.size), LOST)
     derivative = np.zeros((*residual.shape, values.shape[1]))
 
-    def put(lane: int, nearest: Nearest) -> None:
+    def put_down(lane: int, nearest: Nearest) -> None:
         residual[lane] = nearest.residual.ravel()
         derivative[lane] = nearest.derivative.reshape(derivative.shape[1:])
 
     left = []
     for lane, key in enumerate(keys):
         if key in trail and np.array_equal(trail[key].values, values[lane]):
-            put(lane, trail[key].nearest)
+            put_down(lane, trail[key].nearest)
         else:
             left.append(lane)
     for predicting in (True, False):
@@ -83,16 +92,23 @@ def residuals_along(
         lanes = misfit.lanes(values[left])
         known = [trail.get(keys[lane]) if predicting else None for lane in left]
         starts = _starts(misfit, lanes.made, known, values[left])
-        usable, nearest = misfit.nearest(lanes, starts, which[left], frequency_scale, precisely)
+        rows, nearest = misfit.nearest(lanes, starts, which[left], frequency_scale, precisely)
         lost = []
-        for row, k in enumerate(usable):
-            own = take(nearest, slice(row * misfit.points, (row + 1) * misfit.points))
-            curve = starts[k] if isinstance(starts[k], Curve) else None
-            lane = left[k]
-            if curve is None and not own.found.all():
-                lost.append(lane)
-                continue
-            put(lane, own)
+        for k, lane in enumerate(left):
+            mine = np.flatnonzero(rows // misfit.points == k)
+            before, curve, own = known[k], starts[k], take(nearest, mine)
+            if isinstance(curve, Curve):
+                if not len(mine):
+                    continue
+            else:
+                curve = None
+                assert before is not None  # from which it was predicted
+                if len(mine) and not own.found.all():
+                    lost.append(lane)
+                    continue
+                point = rows[mine] % misfit.points
+                own = put(before.nearest, own, point) if len(mine) else before.nearest
+            put_down(lane, own)
             found = Kept(values[lane], own, curve)
             if keys[lane] not in trail or found.cost <= trail[keys[lane]].cost:
                 trail[keys[lane]] = found
@@ -110,7 +126,7 @@ def _starts(
     starts: list[Any] = [None] * len(values)
     for k, kept in enumerate(known):
         ahead = None if kept is None else kept.ahead(values[k], misfit.scale)
-        starts[k] = None if ahead is None else (np.arange(misfit.points), *ahead)
+        starts[k] = ahead
     far = np.array([k for k, start in enumerate(starts) if start is None], int)
     if len(far):
         _, first, same = np.unique(values[far], axis=0, return_index=True, return_inverse=True)
