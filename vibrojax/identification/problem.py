@@ -250,12 +250,17 @@ class Problem:
             return
         # Numbers a little off: those of the stops change nothing without contact.
         points = self.guess + np.eye(len(self.coordinates) + 1, len(self.coordinates), -1) * 1e-2
+
+        def without(points: np.ndarray, which: int) -> np.ndarray:
+            numbers = [(self.of_measurement(k, points), m) for k, m in curves]
+            return np.concatenate([m.without_contact(n, which) for n, m in numbers], axis=1)
+
         for which in range(repetitions):
-            residual = np.concatenate(
-                [m.without_contact(self.of_measurement(k, points), which) for k, m in curves], 1
-            )
-            squares, count = float(residual[0] @ residual[0]), residual.shape[1]
-            if squares < 1.5 * count and np.abs(residual[1:] - residual[0]).max() < 1e-9:
+            (residual,) = without(points[:1], which)
+            squares, count = float(residual @ residual), len(residual)
+            if squares > 1.5 * count:
+                continue
+            if np.abs(without(points, which) - residual).max() < 1e-9:
                 raise ValueError(
                     "The measured curve never touches the stop: the beam without contact explains "
                     f"it (reduced chi-square {squares / count:.3g}), so contact cannot be "

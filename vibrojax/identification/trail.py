@@ -13,6 +13,8 @@ from vibrojax.identification.trial_rigs import Curve
 from vibrojax.steady.batches import take
 from vibrojax.steady.paths import FrequencyPath
 
+ASTRAY = 1.0
+"""Distance beyond the expected one, in standard deviations, at which a point went elsewhere."""
 FARTHEST = 0.1
 """Farthest that a point is predicted, in the arclength of the continuation."""
 
@@ -54,6 +56,17 @@ class Kept(NamedTuple):
             return None
         point = np.flatnonzero(~self.rests)
         return point, (known.depth + change)[point], (known.frequency + shift)[point]
+
+    def with_points(self, point: np.ndarray, nearest: Nearest | None) -> Nearest:
+        """Return its nearest points, some of them replaced."""
+        return put(self.nearest, nearest, point) if len(point) else self.nearest
+
+    def leads_to(self, found: Nearest, values: np.ndarray) -> bool:
+        """Whether points that were predicted are about as far away as their slopes say."""
+        known = self.nearest
+        expected = known.residual + known.derivative @ (values - self.values)
+        beyond = np.linalg.norm(found.residual, axis=1) - np.linalg.norm(expected, axis=1)
+        return bool((found.found & (beyond < ASTRAY)).all())
 
 
 Trail = dict[Hashable, Kept]
@@ -103,11 +116,10 @@ def residuals_along(
             else:
                 curve = None
                 assert before is not None  # from which it was predicted
-                if len(mine) and not own.found.all():
+                own = before.with_points(rows[mine] % misfit.points, own)
+                if not before.leads_to(own, values[lane]):
                     lost.append(lane)
                     continue
-                point = rows[mine] % misfit.points
-                own = put(before.nearest, own, point) if len(mine) else before.nearest
             put_down(lane, own)
             found = Kept(values[lane], own, curve)
             if keys[lane] not in trail or found.cost <= trail[keys[lane]].cost:
