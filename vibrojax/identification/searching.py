@@ -83,7 +83,7 @@ class Searches:
         others = spread_starts(problem.guess, problem.coordinates, searches - 1)
         which = np.repeat(repetitions, len(others))
         self._search(np.tile(others, (len(begin), 1)), which, {})
-        for k in repetitions:
+        for k in range(len(begin)):
             if self._is_poor(self.best(k).cost):
                 again = restarts(begin[k], problem.coordinates)
                 self._search(again, np.repeat(k, len(again)), {})
