@@ -189,7 +189,7 @@ class CurveMisfit:
         They are looked for from the curve of each rig, or from guesses of some of them.
         """
         guesses = [
-            self._guesses(start, int(k), frequency_scale) if isinstance(start, Curve) else start
+            self.guesses(start, int(k), frequency_scale) if isinstance(start, Curve) else start
             for start, k in zip(starts, which, strict=True)
         ]
         lane = np.repeat(np.arange(len(guesses)), [len(guess[0]) for guess in guesses])
@@ -240,7 +240,7 @@ class CurveMisfit:
             close=jnp.asarray(close),
         )
 
-    def _guesses(self, curve: Curve, which: int, frequency_scale: float) -> Guesses:
+    def guesses(self, curve: Curve, which: int, frequency_scale: float) -> Guesses:
         """First guesses on the traced polygon."""
         start = np.flatnonzero(curve.continues)
         if not len(start):

@@ -145,14 +145,15 @@ class Searches:
         low, high = self.problem.limits
         middle, cost = self.problem.guess, np.zeros(0)
         low, high = np.maximum(low, middle - FARTHEST), np.minimum(high, middle + FARTHEST)
-        for share, tolerance in stages:
+        for stage, (share, tolerance) in enumerate(stages):
+            trail = {} if stage else trail
             scale = self.first ** (1 - share) * self.last**share
 
             def evaluate(points, lanes, scale=scale, trail=trail):
                 return self.problem.evaluate(points, which[lanes], scale, trail=trail, starts=lanes)
 
             found = self.search(evaluate, points, low, high, tolerance)
-            points, cost, trail = found.point, found.cost, {}
+            points, cost = found.point, found.cost
             np.add.at(self.evaluations, which, found.evaluations)
         starts = np.arange(len(points))
         residual, jacobian = self.problem.evaluate(

@@ -15,6 +15,8 @@ from vibrojax.steady.paths import FrequencyPath
 
 ASTRAY = 1.0
 """Distance beyond the expected one, in standard deviations, at which a point went elsewhere."""
+SAME = 0.05
+"""Distance along the curve of a guess from a point that is known, for which it stands."""
 FARTHEST = 0.1
 """Farthest that a point is predicted, in the arclength of the continuation."""
 
@@ -33,6 +35,10 @@ class Kept(NamedTuple):
     def cost(self) -> float:
         """Sum of squares."""
         return float(np.sum(self.nearest.residual**2))
+
+    def is_of(self, values: np.ndarray) -> bool:
+        """Whether it is the trial of these numbers."""
+        return np.allclose(self.values, values, rtol=1e-12, atol=0)
 
     @property
     def rests(self) -> np.ndarray:
@@ -56,6 +62,20 @@ class Kept(NamedTuple):
             return None
         point = np.flatnonzero(~self.rests)
         return point, (known.depth + change)[point], (known.frequency + shift)[point]
+
+    def improved(self, guesses: Guesses, scale: float) -> Guesses:
+        """Return guesses of the nearest points of the same trial, exact where they agree."""
+        (point, depth, frequency), known = guesses, self.nearest
+        off = depth - known.depth[point]
+        far = (
+            dot(off, off) / dot(depth, depth) + ((frequency - known.frequency[point]) / scale) ** 2
+        )
+        same = (far < SAME**2) & known.found[point]
+        return (
+            point,
+            np.where(same[:, None, None], known.depth[point], depth),
+            np.where(same, known.frequency[point], frequency),
+        )
 
     def with_points(self, point: np.ndarray, nearest: Nearest | None) -> Nearest:
         """Return its nearest points, some of them replaced."""
@@ -84,7 +104,7 @@ def residuals_along(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Do as `CurveMisfit.residuals`, going on from what the trail keeps under the `keys` of lanes.
 
-    Curves are followed only for lanes that are not near to it.
+    Curves are followed only for lanes that are not near to it; `precisely`, for all.
     """
     residual = np.full((len(values), misfit.size), LOST)
     derivative = np.zeros((*residual.shape, values.shape[1]))
@@ -95,17 +115,23 @@ def residuals_along(
 
     left = []
     for lane, key in enumerate(keys):
-        if key in trail and np.array_equal(trail[key].values, values[lane]):
+        if not precisely and key in trail and trail[key].is_of(values[lane]):
             put_down(lane, trail[key].nearest)
         else:
             left.append(lane)
-    for predicting in (True, False):
+    for predicting in (False,) if precisely else (True, False):
         if not left:
             break
         lanes = misfit.lanes(values[left])
         known = [trail.get(keys[lane]) if predicting else None for lane in left]
         starts = _starts(misfit, lanes.made, known, values[left])
-        rows, nearest = misfit.nearest(lanes, starts, which[left], frequency_scale, precisely)
+        guesses = list(starts)
+        for k, lane in enumerate(left):
+            kept = trail.get(keys[lane])
+            if precisely and kept is not None and kept.is_of(values[lane]):
+                whole = misfit.guesses(starts[k], int(which[lane]), frequency_scale)
+                guesses[k] = kept.improved(whole, misfit.scale)
+        rows, nearest = misfit.nearest(lanes, guesses, which[left], frequency_scale, precisely)
         lost = []
         for k, lane in enumerate(left):
             mine = np.flatnonzero(rows // misfit.points == k)
@@ -122,7 +148,7 @@ def residuals_along(
                     continue
             put_down(lane, own)
             found = Kept(values[lane], own, curve)
-            if keys[lane] not in trail or found.cost <= trail[keys[lane]].cost:
+            if precisely or keys[lane] not in trail or found.cost <= trail[keys[lane]].cost:
                 trail[keys[lane]] = found
         left = lost
     return residual, derivative
