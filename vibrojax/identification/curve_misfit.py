@@ -21,7 +21,7 @@ from vibrojax.identification.as_measured import (
     order_of,
     sensor_of,
 )
-from vibrojax.identification.nearest_point import Nearest, Target, nearest_points, settled
+from vibrojax.identification.nearest_point import WIDTH, Nearest, Target, nearest_points, settled
 from vibrojax.identification.sensor import seen_back, seen_from, wrapped
 from vibrojax.identification.trial_rigs import (
     SAMPLES,
@@ -43,6 +43,8 @@ from vibrojax.steady.paths import FrequencyPath
 MOST_POINTS = 300
 LONGEST_STEP = 0.16
 """Along the curve: generous, since nearest points are solved for."""
+FEW = 3
+"""Curves that are not worth a wide loop."""
 MARGIN = 0.02
 """How far beyond the measured frequencies a curve is followed, relative."""
 FEW_ROUNDS, MANY_ROUNDS = 4, 30
@@ -58,6 +60,8 @@ LOST = 1e3
 """Residual of every point of a rig without a curve, in standard deviations."""
 OFF_LEVEL = 0.01
 """Relative distance from the drive of a traced curve that counts as a standard deviation."""
+Guesses = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Of nearest points: index of the measured point, motion, frequency."""
 
 
 class CurveMisfit:
@@ -115,8 +119,11 @@ class CurveMisfit:
     def lanes(self, values: np.ndarray) -> WithSlopes:
         """Paths of the trial rigs with these numbers (lanes by names)."""
         index = filled_up(len(values), WIDTHS[-1])
-        made = self.maker.trials(frequency_path, self.is_ratio, values[index])
-        return take(WithSlopes(*jax.device_get(made)), slice(len(values)))
+        made, slopes = jax.device_get(
+            self.maker.trials(frequency_path, self.is_ratio, values[index])
+        )
+        changing = eqx.filter(slopes, jax.tree.map(lambda a: bool(np.any(a)), slopes))
+        return take(WithSlopes(made, changing), slice(len(values)))
 
     def curves(self, paths: FrequencyPath) -> list[Curve]:
         """Follow the response curves of all rigs over the measured range, at every drive level."""
@@ -141,7 +148,17 @@ class CurveMisfit:
         from_high = (free[0][1] & ~free[1][1])[:lanes]
 
         def trace(index: np.ndarray, down: np.ndarray) -> list[Traced]:
+            # What a few lanes would wait for in a wide loop costs more than going one by one.
+            few = len(index) % WIDTHS[-1]
+            whole = len(index) - (few if few <= FEW else 0)
+            parts = zip(np.split(index, [whole]), (WIDTHS[-1:], WIDTHS[:1]), strict=True)
+            return [one for part, widths in parts for one in side_by_side(part, down, widths)]
+
+        def side_by_side(index, down, widths) -> list[Traced]:
+            if not len(index):
+                return []
             low, high = (depth[index] for depth, _ in free)
+            down = down[index]
             return trace_over(
                 take(paths, index),
                 np.where(down, self.high, self.low),
@@ -153,14 +170,14 @@ class CurveMisfit:
                 longest=LONGEST_STEP,
                 samples=SAMPLES,
                 max_points=MOST_POINTS,
-                widths=WIDTHS,
+                widths=widths,
             )
 
         pieces = [[piece] for piece in trace(np.arange(lanes), from_high)]
         short = [k for k, (piece,) in enumerate(pieces) if piece.ending is not Ending.completed]
         if short:
             again = np.array(short)
-            for k, piece in zip(short, trace(again, ~from_high[again]), strict=True):
+            for k, piece in zip(short, trace(again, ~from_high), strict=True):
                 pieces[k].append(piece)
         return self._seen(paths, pieces)
 
@@ -191,18 +208,23 @@ class CurveMisfit:
     def nearest(
         self,
         lanes: WithSlopes,
-        curves: list[Curve],
+        starts: Sequence[Curve | Guesses],
         which: np.ndarray,
         frequency_scale: float,
         precisely: bool,
     ) -> tuple[np.ndarray, Nearest | None]:
-        """Find the nearest points; which rigs have a curve, and the points of those, in a row."""
-        have = np.flatnonzero([c.continues.any() for c in curves])
-        if not len(have):
-            return have, None
-        starts = [self._guesses(curves[k], int(which[k]), frequency_scale) for k in have]
-        lane = np.repeat(have, [len(start[0]) for start in starts])
-        point, depth, frequency = (np.concatenate(part) for part in zip(*starts, strict=True))
+        """Find the nearest points; return their rows (of lanes by measured points), and them.
+
+        They are looked for from the curve of each rig, or from guesses of some of them.
+        """
+        guesses = [
+            self.guesses(start, int(k), frequency_scale) if isinstance(start, Curve) else start
+            for start, k in zip(starts, which, strict=True)
+        ]
+        lane = np.repeat(np.arange(len(guesses)), [len(guess[0]) for guess in guesses])
+        if not len(lane):
+            return lane, None
+        point, depth, frequency = (np.concatenate(part) for part in zip(*guesses, strict=True))
         # Like with like: a batch takes as long as its longest contact.
         order = np.argsort(np.sum(np.fft.irfft(depth, SAMPLES) > 0, axis=(1, 2)), kind="stable")
         lane, point, depth, frequency = lane[order], point[order], depth[order], frequency[order]
@@ -223,18 +245,18 @@ class CurveMisfit:
             own = own if drive is None else driven_as_measured(own, drive[i])
             return self.find(own, take(target, i), depth[i], frequency[i], rounds, close)
 
-        nearest = in_batches(find, len(lane))
+        nearest = in_batches(find, len(lane), WIDTH)
         slow = np.flatnonzero(~settled(nearest, close))
         # The few that creep, next to folds; a search does without the last of their way.
         if precisely and len(slow):
-            again = in_batches(lambda i: find(slow[i], MANY_ROUNDS), len(slow))
+            again = in_batches(lambda i: find(slow[i], MANY_ROUNDS), len(slow), WIDTH)
             for whole, part in zip(nearest, again, strict=True):
                 whole[slow] = part
         # Of several guesses the one that came nearest.
-        row = np.searchsorted(have, lane) * self.points + point
+        row = lane * self.points + point
         order = np.lexsort((np.sum(nearest.residual**2, axis=1), row))
-        _, first = np.unique(row[order], return_index=True)
-        return have, take(nearest, order[first])
+        rows, first = np.unique(row[order], return_index=True)
+        return rows, take(nearest, order[first])
 
     def _wanted(self, *row: Any) -> tuple[np.ndarray, np.ndarray | None]:
         """Channels of some points as they are seen from their phases, and these."""
@@ -258,11 +280,11 @@ class CurveMisfit:
             close=jnp.asarray(close),
         )
 
-    def _guesses(
-        self, curve: Curve, which: int, frequency_scale: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """First guesses on the traced polygon: index of the measured point, motion, frequency."""
+    def guesses(self, curve: Curve, which: int, frequency_scale: float) -> Guesses:
+        """First guesses on the traced polygon."""
         start = np.flatnonzero(curve.continues)
+        if not len(start):
+            return np.zeros(0, int), curve.depth[:0], curve.frequency[:0]
         if self.pointwise:
             point, place, share = self._branch_ends(curve, start, which)
         else:
@@ -381,13 +403,14 @@ class CurveMisfit:
         """
         lanes = self.lanes(values)
         curves = self.curves(lanes.made)
-        usable, nearest = self.nearest(lanes, curves, which, frequency_scale, precisely)
-        rows, names = self.points * (1 + self.sensor.channels), len(self.maker.names)
-        residual = np.full((len(curves), rows), LOST)
-        derivative = np.zeros((len(curves), rows, names))
+        rows, nearest = self.nearest(lanes, curves, which, frequency_scale, precisely)
+        width, names = 1 + self.sensor.channels, len(self.maker.names)
+        residual = np.full((len(curves) * self.points, width), LOST)
+        derivative = np.zeros((*residual.shape, names))
         if nearest is not None:
-            residual[usable] = np.reshape(nearest.residual, (-1, rows))
-            derivative[usable] = np.reshape(nearest.derivative, (-1, rows, names))
+            residual[rows], derivative[rows] = nearest.residual, nearest.derivative
+        residual = residual.reshape(len(curves), -1)
+        derivative = derivative.reshape(*residual.shape, names)
         return self._with_jumps(lanes, curves, which, residual, derivative)
 
     def _with_jumps(self, lanes: WithSlopes, curves: list[Curve], which, residual, derivative):

@@ -5,13 +5,11 @@ from typing import Any, Literal, overload
 
 import jax.numpy as jnp
 import numpy as np
-import scipy
 
 from vibrojax._tools.checks import check_count, check_range
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.tracing import free_motion
 from vibrojax.ensemble.ranges import Range
-from vibrojax.identification.coordinates import Coordinate
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.findings import early_jumps, misfit, modes_left_out, used
 from vibrojax.identification.fit import Alternative
@@ -25,6 +23,7 @@ from vibrojax.identification.problem import (
     measurements_of,
     repetitions_of,
 )
+from vibrojax.identification.searching import Searches
 from vibrojax.identification.trial_rigs import SAMPLES, driven
 from vibrojax.identification.uncertainty import influence, uncertainty
 from vibrojax.measured.curve import MeasuredCurve
@@ -36,14 +35,6 @@ from vibrojax.steady.paths import FrequencyPath
 
 FREQUENCY_SCALES = (0.005, 0.001)
 """First and last scale of frequency differences, over the first natural frequency."""
-STAGES = ((0.0, 0.3), (0.5, 0.3), (1.0, 1e-3))
-"""Stages of a search: how far between the two scales (in log), and when it ends (chi-square)."""
-POOR = 2.0
-"""Reduced chi-square above which searches start elsewhere too."""
-FARTHEST = 9.0
-"""Farthest that a search goes from the guess in a coordinate: a factor of 8000 in log."""
-FACTORS = (0.1, 0.3, 3.0, 10.0)
-"""By which the stiffness is multiplied where a search ended with a poor fit."""
 APART = 3.0
 """Distance between alternatives, in standard deviations."""
 
@@ -170,48 +161,24 @@ class _Fits:
         search: Search,
         frequency_scales: tuple[float, float],
     ):
-        self.problem, self.data, self.search = problem, data, search
-        self.first, self.last = frequency_scales
+        self.problem, self.data, self.last = problem, data, frequency_scales[1]
         self.notes: list[list[str]] = []
         for parts in data:
             assumed = [sentence for m in parts if (sentence := m.noise().sentence) is not None]
             taken = [one for m in parts if isinstance(m, MeasuredCurve) for one in used(m)]
             self.notes.append([note for m in parts for note in m.notes] + assumed + taken)
-        self.ended: list[list[tuple[np.ndarray, float]]] = [[] for _ in data]
-        self.evaluations = np.zeros(len(data), int)
         values = sum(m.values if isinstance(m, CurveMisfit) else m.size for m in problem.misfits)
         self.degrees_of_freedom = max(values - len(problem.coordinates), 1)
+        self.searches = Searches(
+            problem, search, frequency_scales, self.degrees_of_freedom, len(data)
+        )
 
     def run(self, searches: int) -> None:
         """Search from the guess; where that ends badly, from elsewhere."""
-        problem, count = self.problem, len(self.data)
-        problem.check_contact(count)
-        self._measure_damping()
-        begin = np.array([self._begin(k) for k in range(count)])
-        others = spread_starts(problem.guess, problem.coordinates, searches - 1)
-        starts = np.concatenate([begin, np.tile(others, (count, 1))])
-        which = np.concatenate([np.arange(count), np.repeat(np.arange(count), len(others))])
-        self._search(starts, which)
-        poor = [k for k in range(count) if self._best(k)[1] > POOR * self.degrees_of_freedom]
-        if poor:
-            again = [restarts(begin[k], problem.coordinates) for k in poor]
-            self._search(np.concatenate(again), np.repeat(poor, [len(a) for a in again]))
-
-    def _best(self, k: int) -> tuple[np.ndarray, float]:
-        return min(self.ended[k], key=lambda end: end[1])
-
-    def _measure_damping(self) -> None:
-        """Let what moves in asinh do so in units of what the data can see of it."""
-        problem = self.problem
-        if all(c.kind != "asinh" for c in problem.coordinates):
-            return
-        guess = problem.guess[None]
-        _, jacobian = problem.evaluate(guess, np.array([0]), self.first)
-        size = np.linalg.norm(jacobian[0], axis=0) / problem.slopes(guess)[0]
-        problem.coordinates = tuple(
-            c._replace(scale=float(1 / s)) if c.kind == "asinh" and s > 0 else c
-            for c, s in zip(problem.coordinates, size, strict=True)
-        )
+        self.problem.check_contact(len(self.data))
+        trail = self.searches.measure_damping()
+        begin = np.array([self._begin(k) for k in range(len(self.data))])
+        self.searches.run(begin, searches, trail)
 
     def _begin(self, k: int) -> np.ndarray:
         """Start of a repetition: the guess, with the gap from where the curve jumps up."""
@@ -236,29 +203,10 @@ class _Fits:
             )
         return point
 
-    def _search(self, points: np.ndarray, which: np.ndarray) -> None:
-        low, high = self.problem.limits
-        middle, cost = self.problem.guess, np.zeros(0)
-        low, high = np.maximum(low, middle - FARTHEST), np.minimum(high, middle + FARTHEST)
-        for share, tolerance in STAGES:
-            scale = self.first ** (1 - share) * self.last**share
-
-            def evaluate(points, lanes, scale=scale):
-                return self.problem.evaluate(points, which[lanes], scale)
-
-            found = self.search(evaluate, points, low, high, tolerance)
-            points, cost = found.point, found.cost
-            np.add.at(self.evaluations, which, found.evaluations)
-        for k, point, size in zip(which, points, cost, strict=True):
-            self.ended[k].append((point, float(size)))
-
     def result(self, k: int, confidence: float) -> Identification:
         """Judge the best minimum of a repetition."""
         problem, freedom, names = self.problem, self.degrees_of_freedom, self.problem.names
-        point, _ = self._best(k)
-        (residual,), (jacobian,) = problem.evaluate(
-            point[None], np.array([k]), self.last, precisely=True
-        )
+        point, residual, jacobian, curves = self.searches.best(k)
         known = uncertainty(residual, jacobian, point, problem.coordinates, freedom, confidence)
         chi_square = float(residual @ residual)
         ends = np.cumsum([m.size for m in problem.misfits])[:-1]
@@ -268,7 +216,10 @@ class _Fits:
             m, model, curve, width = self.data[k][i], problem.misfits[i], None, 1
             fitted = None
             if isinstance(model, CurveMisfit) and isinstance(m, MeasuredCurve):
-                curve = model.curves(model.lanes(problem.of_measurement(i, point[None])).made)[0]
+                curve = curves.get(i)
+                if curve is None:
+                    lanes = model.lanes(problem.of_measurement(i, point[None]))
+                    curve = model.curves(lanes.made)[0]
                 width = 1 + model.sensor.channels
                 part, slopes = part[: m.size * width], slopes[: m.size * width]
                 fitted = model.fitted(part.reshape(-1, width), k, self.last)
@@ -304,7 +255,7 @@ class _Fits:
             alternatives=self._alternatives(k, known.covariance),
             warnings=tuple(dict.fromkeys(warnings)),
             notes=tuple(dict.fromkeys(self.notes[k])),
-            evaluations=int(self.evaluations[k]),
+            evaluations=int(self.searches.evaluations[k]),
             problem=problem,
             repetition=k,
             frequency_scale=self.last,
@@ -315,9 +266,9 @@ class _Fits:
         """Minima that other searches ended in, away from the best one and from each other."""
         deviation = np.sqrt(np.diag(np.where(np.isfinite(covariance), covariance, 1.0)))
         kept: list[tuple[np.ndarray, float]] = []
-        for point, cost in sorted(self.ended[k], key=lambda end: end[1]):
-            if all(np.max(np.abs(point - other) / deviation) > APART for other, _ in kept):
-                kept.append((point, cost))
+        for end in sorted(self.searches.ended[k], key=lambda end: end.cost):
+            if all(np.max(np.abs(end.point - other) / deviation) > APART for other, _ in kept):
+                kept.append((end.point, end.cost))
         names = self.problem.names
         return tuple(
             Alternative(
@@ -349,22 +300,3 @@ def free_stop_amplitude(paths: FrequencyPath, frequency: float) -> float:
     spectrum = np.asarray(free_motion(one, jnp.asarray([frequency]), SAMPLES, 1))
     average = cell_average(SAMPLES, spectrum.shape[-1])[1]
     return float(np.max(np.abs(spectrum[0, :, 1])) * 2 / SAMPLES / average)
-
-
-def restarts(point: np.ndarray, coordinates: tuple[Coordinate, ...]) -> np.ndarray:
-    """Starts around one that ended badly: the stiffness (or what moves in log) multiplied."""
-    moving = [k for k, c in enumerate(coordinates) if c.kind == "log"]
-    stiff = [k for k in moving if "stiffness" in coordinates[k].name] or moving[:1]
-    starts = np.repeat(point[None], len(FACTORS), axis=0)
-    starts[:, stiff] += np.log(FACTORS)[:, None]
-    return starts
-
-
-def spread_starts(point: np.ndarray, coordinates: tuple[Coordinate, ...], count: int) -> np.ndarray:
-    """Starts spread evenly (Halton) within the bounds, or a decade around the guess."""
-    shares = scipy.stats.qmc.Halton(len(point), scramble=False).random(count + 1)[1:]
-    limits = np.array([c.limits for c in coordinates])
-    reach = np.array([np.log(10.0) if c.kind == "log" else 3.0 for c in coordinates])
-    around = np.stack([point - reach, point + reach], axis=1)
-    low, high = np.where(np.isfinite(limits), limits, around).T
-    return low + shares * (high - low)

@@ -22,6 +22,7 @@ from vibrojax.identification.record_numbers import (
     record_numbers_in,
     size_of,
 )
+from vibrojax.identification.trail import Trail, residuals_along
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory
@@ -275,13 +276,25 @@ class Problem:
         frequency_scale: float,
         *,
         precisely: bool = False,
+        trail: Trail | None = None,
+        starts: Sequence[int] | np.ndarray = (),
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals and their derivatives in the coordinates; `which`: repetition of each lane."""
+        """Residuals and their derivatives in the coordinates; `which`: repetition of each lane.
+
+        With a `trail` the lanes of curves go on from what it keeps of their `starts`.
+        """
         slopes, residuals, jacobians = self.slopes(points), [], []
         for k, misfit in enumerate(self.misfits):
-            residual, derivative = misfit.residuals(
-                self.of_measurement(k, points), which, frequency_scale, precisely=precisely
-            )
+            numbers = self.of_measurement(k, points)
+            if trail is not None and isinstance(misfit, CurveMisfit) and not misfit.pointwise:
+                keys = [(k, start) for start in starts]
+                residual, derivative = residuals_along(
+                    trail, keys, misfit, numbers, which, frequency_scale, precisely
+                )
+            else:
+                residual, derivative = misfit.residuals(
+                    numbers, which, frequency_scale, precisely=precisely
+                )
             jacobian = np.zeros((*residual.shape, len(self.coordinates)))
             own = list(self.unknowns[k].values())
             jacobian[:, :, own] = derivative * slopes[:, None, own]
@@ -296,12 +309,17 @@ class Problem:
             return
         # Numbers a little off: those of the stops change nothing without contact.
         points = self.guess + np.eye(len(self.coordinates) + 1, len(self.coordinates), -1) * 1e-2
+
+        def without(points: np.ndarray, which: int) -> np.ndarray:
+            numbers = [(self.of_measurement(k, points), m) for k, m in curves]
+            return np.concatenate([m.without_contact(n, which) for n, m in numbers], axis=1)
+
         for which in range(repetitions):
-            residual = np.concatenate(
-                [m.without_contact(self.of_measurement(k, points), which) for k, m in curves], 1
-            )
-            squares, count = float(residual[0] @ residual[0]), residual.shape[1]
-            if squares < 1.5 * count and np.abs(residual[1:] - residual[0]).max() < 1e-9:
+            (residual,) = without(points[:1], which)
+            squares, count = float(residual @ residual), len(residual)
+            if squares > 1.5 * count:
+                continue
+            if np.abs(without(points, which) - residual).max() < 1e-9:
                 raise ValueError(
                     "The measured curve never touches the stop: the beam without contact explains "
                     f"it (reduced chi-square {squares / count:.3g}), so contact cannot be "

@@ -22,7 +22,7 @@ from vibrojax.steady.condensed import balance, condensed_problem
 from vibrojax.steady.paths import FrequencyPath, Place
 
 SAMPLES = 128
-WIDTHS = (8,)
+WIDTHS = (1, 8)
 """Rigs that are followed side by side in one loop."""
 
 
@@ -87,8 +87,14 @@ class Maker:
         numbers |= dict(zip(self.names, np.asarray(values, float).T, strict=True))
         apart = record_numbers_in(self.make, self.names)
         make: Any = RecordedBy(self.make, apart) if apart else self.make
-        made = systems_with_slopes(make, self.static, self.names, numbers)
-        return _read(read, how, *made, tuple(jnp.asarray(part) for part in own))
+        made, slopes = jax.device_get(systems_with_slopes(make, self.static, self.names, numbers))
+        # What is the same in all rigs, as the modes of a beam whose stop is sought, is read once.
+        moves = jax.tree.map(lambda a, b: bool(np.any(b) or np.any(a != a[:1])), made, slopes)
+        if not any(jax.tree.leaves(moves)):
+            moves = True
+        moving, still = eqx.partition(made, moves)
+        still = jax.tree.map(lambda a: a[0], still)
+        return _read(read, how, still, moving, eqx.filter(slopes, moves), own)
 
     def system(self, values: Any) -> AbstractSystem:
         """Make one rig."""
@@ -99,11 +105,11 @@ class Maker:
 
 
 @compiled(lightly=True)
-def _read(read, how, systems, slopes, own) -> WithSlopes:
-    def one(system, slopes, own):
-        return with_slopes(lambda system: read(system, how, *own), system, slopes)
+def _read(read, how, still, moving, slopes, own) -> WithSlopes:
+    def one(moving, slopes, own):
+        return with_slopes(lambda m: read(eqx.combine(m, still), how, *own), moving, slopes)
 
-    return jax.vmap(one)(systems, slopes, own)
+    return jax.vmap(one)(moving, slopes, own)
 
 
 def frequency_path(system: AbstractSystem, is_ratio: bool) -> FrequencyPath:
@@ -148,8 +154,8 @@ def driven(paths: FrequencyPath, amplitude: np.ndarray) -> FrequencyPath:
 
 def driven_as_measured(lanes: WithSlopes, amplitude: np.ndarray) -> WithSlopes:
     """Return paths at other drive amplitudes, which change with no number."""
-    zeros = jax.tree.map(np.zeros_like, lanes.slopes.drive)
-    slopes = eqx.tree_at(lambda p: p.drive, lanes.slopes, zeros)
+    still = jax.tree.map(lambda _: None, lanes.slopes.drive)
+    slopes = eqx.tree_at(lambda p: p.drive, lanes.slopes, still)
     return WithSlopes(driven(lanes.made, amplitude), slopes)
 
 
