@@ -350,9 +350,8 @@ def _check_drive(system: AbstractSystem, measured: MeasuredCurve, objective: str
 def _check_not_fitted(names: tuple[str, ...], slopes: Any) -> None:
     """Refuse a number to fit that does nothing but drive, where the drive was measured."""
     leaves = jax.tree.leaves((slopes.equations, slopes.unit))
-    changes = [np.reshape(leaf, (len(names), -1)).any(axis=1) for leaf in leaves]
     for k, name in enumerate(names):
-        if not any(moved[k] for moved in changes):
+        if not any(np.any(leaf[:, k]) for leaf in leaves):
             raise ValueError(
                 f"{name} changes nothing but the drive of the system, which was measured "
                 "(drive_amplitude). Leave one of the two out."
