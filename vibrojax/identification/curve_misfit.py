@@ -21,8 +21,14 @@ from vibrojax.identification.as_measured import (
     order_of,
     sensor_of,
 )
+from vibrojax.identification.first_guesses import (
+    Guesses,
+    Points,
+    at_crossings,
+    at_nearest_places,
+)
 from vibrojax.identification.nearest_point import WIDTH, Nearest, Target, nearest_points, settled
-from vibrojax.identification.sensor import seen_back, seen_from, wrapped
+from vibrojax.identification.sensor import seen_back, seen_from
 from vibrojax.identification.trial_rigs import (
     SAMPLES,
     WIDTHS,
@@ -50,18 +56,12 @@ MARGIN = 0.02
 FEW_ROUNDS, MANY_ROUNDS = 4, 30
 NEAR_ENOUGH, PRECISE = 1e-3, 1e-8
 """Last step to a nearest point, in a search and at its end."""
-CLOSE = 0.5
-"""Distance, in standard deviations, by which a polygon may mistake the nearest place."""
 HELD = 1e-7
 """Frequency scale that keeps a point at its frequency."""
 FAR_AWAY = 1e6
 """A gap that is never closed, m."""
 LOST = 1e3
 """Residual of every point of a rig without a curve, in standard deviations."""
-OFF_LEVEL = 0.01
-"""Relative distance from the drive of a traced curve that counts as a standard deviation."""
-Guesses = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Of nearest points: index of the measured point, motion, frequency."""
 
 
 class CurveMisfit:
@@ -282,81 +282,12 @@ class CurveMisfit:
 
     def guesses(self, curve: Curve, which: int, frequency_scale: float) -> Guesses:
         """First guesses on the traced polygon."""
-        start = np.flatnonzero(curve.continues)
-        if not len(start):
-            return np.zeros(0, int), curve.depth[:0], curve.frequency[:0]
+        drive = None if self.drive is None else self.drive[which]
+        own = self.frequency[which], self.direction[which], *self._wanted(which)
+        points = Points(*own, self.deviation[which], drive, self.channels[which, :, 0])
         if self.pointwise:
-            point, place, share = self._branch_ends(curve, start, which)
-        else:
-            point, place, share = self._nearest_places(curve, start, which, frequency_scale)
-        first, way = start[place], share[:, None, None]
-        depth = (1 - way) * curve.depth[first] + way * curve.depth[first + 1]
-        frequency = (1 - share) * curve.frequency[first] + share * curve.frequency[first + 1]
-        return point, depth, self.frequency[which] if self.pointwise else frequency
-
-    def _nearest_places(
-        self, curve: Curve, start: np.ndarray, which: int, frequency_scale: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Nearest places: measured point, segment and way along it.
-
-        Where two places are about as near there are two guesses.
-        """
-        size = np.full((self.points, 1), frequency_scale * self.unit)
-        scale = np.concatenate([size, self.deviation[which]], axis=1)[:, None]
-        channels, phase = self._wanted(which)
-        wanted = np.concatenate([self.frequency[which, :, None], channels], axis=1)[:, None]
-
-        def seen(at):  # points (one, where all see the same), segments, coordinates
-            own = curve.channels[None, at]
-            own = seen_from(self.sensor, own, None if phase is None else phase[:, None])
-            frequency = np.broadcast_to(curve.frequency[None, at, None], (*own.shape[:2], 1))
-            return np.concatenate([frequency, own], axis=2)
-
-        begin, end = seen(start), seen(start + 1)
-        from_start, along = (wanted - begin) / scale, end - begin
-        if self.sensor.with_phase and not self.sensor.is_complex:
-            along[..., 2] = wrapped(along[..., 2])
-        along = along / scale
-        length2 = np.sum(along**2, axis=2)
-        share = np.sum(from_start * along, axis=2) / np.where(length2 > 0, length2, 1.0)
-        share = np.clip(share, 0.0, 1.0)
-        distance = np.sum((from_start - share[..., None] * along) ** 2, axis=2)
-        if self.drive is not None and curve.drive is not None:
-            off = np.log(self.drive[which][:, None] / curve.drive[start])
-            distance += (off / OFF_LEVEL) ** 2
-        rows = np.arange(len(wanted))
-        best = np.argmin(distance, axis=1)
-        aside = np.pad(distance, ((0, 0), (1, 1)), constant_values=np.inf)
-        lowest = (distance <= aside[:, :-2]) & (distance <= aside[:, 2:])
-        elsewhere = lowest & (np.abs(np.arange(len(start)) - best[:, None]) > 1)
-        others = np.where(elsewhere, distance, np.inf)
-        second = np.argmin(others, axis=1)
-        close = np.sqrt(others[rows, second]) < 1.2 * np.sqrt(distance[rows, best]) + CLOSE
-        point = np.concatenate([rows, rows[close]])
-        place = np.concatenate([best, second[close]])
-        return point, place, share[point, place]
-
-    def _branch_ends(
-        self, curve: Curve, start: np.ndarray, which: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where the curve crosses the measured frequencies: as a sweep passes it.
-
-        Upwards the first crossing along the curve, downwards the last one, which is what a settled
-        sweep follows where the curve is an S; without a direction the one nearest in amplitude.
-        """
-        at, ahead = curve.frequency[start], curve.frequency[start + 1]
-        wanted = self.frequency[which, :, None]
-        crosses = (wanted - at) * (wanted - ahead) <= 0
-        share = np.clip((wanted - at) / np.where(ahead == at, 1.0, ahead - at), 0.0, 1.0)
-        first = np.argmax(crosses, axis=1)
-        last = crosses.shape[1] - 1 - np.argmax(crosses[:, ::-1], axis=1)
-        seen = (1 - share) * curve.channels[start, 0] + share * curve.channels[start + 1, 0]
-        off = np.where(crosses, np.abs(seen - self.channels[which, :, :1]), np.inf)
-        if at[0] > ahead[-1]:  # followed from its high end
-            first, last = last, first
-        direction, points = self.direction[which], np.arange(self.points)
-        place = np.select([direction > 0, direction < 0], [first, last], np.argmin(off, axis=1))
-        return points, place, share[points, place]
+            return at_crossings(points, curve)
+        return at_nearest_places(points, curve, self.sensor, frequency_scale * self.unit)
 
     def without_contact(self, values: np.ndarray, which: int) -> np.ndarray:
         """Residuals (rigs by measured numbers), point by point, of rigs without their stops."""
