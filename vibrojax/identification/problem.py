@@ -228,7 +228,7 @@ class Problem:
         for k, misfit in enumerate(self.misfits):
             numbers = self.of_measurement(k, points)
             if trail is not None and isinstance(misfit, CurveMisfit) and not misfit.pointwise:
-                keys = [(k, start) for start in starts]
+                keys = [(k, int(start)) for start in starts]
                 residual, derivative = residuals_along(
                     trail, keys, misfit, numbers, which, frequency_scale, precisely
                 )

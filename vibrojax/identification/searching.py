@@ -33,7 +33,7 @@ class Ended(NamedTuple):
     point: np.ndarray
     residual: np.ndarray
     jacobian: np.ndarray
-    curves: dict[int, Curve]
+    curves: dict[int, Curve | None]
     """Curves that were followed there, by measurement."""
 
     @property
