@@ -6,7 +6,7 @@ import numpy as np
 
 from vibrojax.identification.trial_rigs import Curve
 from vibrojax.measured.curve import MeasuredCurve
-from vibrojax.measured.history import MeasuredHistory
+from vibrojax.measured.history import CHANNELS, MeasuredHistory
 from vibrojax.results.variables import described_as
 
 if TYPE_CHECKING:
@@ -53,9 +53,15 @@ def fitted_data(
         told = "Change of the number without the point over its deviation"
         data["influence"] = ("point", "parameter"), influence, {"long_name": told, "units": "1"}
     if isinstance(measured, MeasuredHistory):
-        part = measured.windowed()
-        put("measured_time", "point", np.tile(part.time, len(part.channels)), "Time", "s")
-        put("channel", "point", np.repeat(list(part.channels), part.size), "Channel measured")
+        seen = measured.observations()
+        put("measured_time", "point", measured.time[seen.sample], "Time", "s")
+        names = np.array(list(measured.channels))[seen.channel]
+        put("channel", "point", names, "Channel measured")
+        deviation = measured.noise().deviation
+        shown = seen.value - residual * np.array([deviation[name] for name in names])
+        put("unit", "point", [CHANNELS[name] for name in names], "Unit of the signals")
+        put("measured_value", "point", seen.value, "Signal measured", "by channel")
+        put("fitted_value", "point", shown, "Signal fitted, as the sensor shows it", "by channel")
         return xarray.Dataset(data)
     assert curve is not None
     at = described_as(measured.frequency_name)

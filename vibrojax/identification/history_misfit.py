@@ -12,7 +12,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from vibrojax.identification.history_motions import (
     Passed,
@@ -23,6 +22,13 @@ from vibrojax.identification.history_motions import (
     sampled_signals,
     settle,
 )
+from vibrojax.identification.record_numbers import (
+    BEGINNING,
+    numbers_of,
+    places_of,
+    record_numbers_in,
+)
+from vibrojax.identification.recorded_data import Data, data_of, on_samples, records_of
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.history import MeasuredHistory
 from vibrojax.model.drives import BaseMotion, NoDrive
@@ -45,25 +51,14 @@ MOST_ROUNDS = 12
 """Corrections of the shift and of the state at the start."""
 
 
-class Data(NamedTuple):
-    """What each lane is compared with."""
-
-    time: Float[np.ndarray, "lanes samples"]
-    """s."""
-    values: Float[np.ndarray, "lanes channels samples"]
-    deviation: Float[np.ndarray, "lanes channels"]
-
-    def standardised(self, signals: np.ndarray) -> np.ndarray:
-        """Divide signals, whose second axis is that of the residuals, by their deviations."""
-        each = np.repeat(self.deviation, self.time.shape[1], axis=1)
-        return signals / each.reshape(each.shape + (1,) * (signals.ndim - 2))
-
-
 class Trial(NamedTuple):
     """Motions as they are, lane by lane, and where they should go."""
 
     residual: np.ndarray
     derivative: np.ndarray
+    """With the shift as it is."""
+    followed: np.ndarray
+    """What of it a shift that follows the numbers makes up for."""
     cost: np.ndarray
     closed: np.ndarray
     stable: np.ndarray
@@ -81,8 +76,7 @@ def _tried(data: Data, passed: Passed, rigs: Rig, state, shift, names: int, plan
     lanes, n = state.shape
     shown, end, slope, end_slope = (np.asarray(part) for part in passed)
     numbers, along = slope[:, :, :names], slope[:, :, names]
-    measured = data.values.reshape(lanes, -1)
-    residual = data.standardised(measured - shown)
+    residual = data.standardised(data.values - shown)
     expected, following = residual, state
     closed, stable = np.ones(lanes, bool), np.ones(lanes, bool)
     if plan.begins == "settled":
@@ -103,48 +97,32 @@ def _tried(data: Data, passed: Passed, rigs: Rig, state, shift, names: int, plan
         stable = np.max(np.abs(np.linalg.eigvals(monodromy)), axis=1) < 1 + 1e-6
     derivative = -data.standardised(numbers)
     step = change = np.zeros(lanes)
+    followed = np.zeros_like(derivative)
     if plan.aligned:
         along = -data.standardised(along)
         square = np.sum(along**2, axis=1)
         square = np.where(square > 0, square, 1.0)
         step = -np.sum(along * expected, axis=1) / square
-        change = np.abs(step) * np.sqrt(square / along.shape[1])
+        count = np.sum(np.isfinite(data.deviation), axis=1)
+        change = np.abs(step) * np.sqrt(square / count)
         # The shift follows the numbers: what it can make up for is no misfit.
         share = np.einsum("ls,lsn->ln", along, derivative) / square[:, None]
-        derivative = derivative - along[:, :, None] * share[:, None, :]
+        followed = along[:, :, None] * share[:, None, :]
     cost = np.sum(residual**2, axis=1)
-    return Trial(residual, derivative, cost, closed, stable, shift, step, change, following)
-
-
-def _misfit_of_shifts(data: Data, lane: int, signals, places, shifts, wraps: bool) -> np.ndarray:
-    """Sum of squares for every shift (cells of the grid) of signals (channels, cells).
-
-    `places` are the measured times in cells; far samples are left out where there are many.
-    """
-    keep = slice(None, None, max(1, len(places) // 1000))
-    cells = signals.shape[1]
-    at = places[None, keep] + shifts[:, None]
-    at = np.mod(at, cells) if wraps else np.clip(at, 0, cells - 1)
-    low = np.minimum(np.floor(at).astype(int), cells - 1)
-    high = (low + 1) % cells if wraps else np.minimum(low + 1, cells - 1)
-    total = np.zeros(len(shifts))
-    for signal, value, deviation in zip(
-        signals, data.values[lane], data.deviation[lane], strict=True
-    ):
-        seen = signal[low] + (at - low) * (signal[high] - signal[low])
-        total += np.sum(((value[keep] - seen) / deviation) ** 2, axis=1)
-    return np.where(np.isfinite(total), total, np.inf)
+    return Trial(
+        residual, derivative, followed, cost, closed, stable, shift, step, change, following
+    )
 
 
 class HistoryMisfit:
     """Misfit of a measured time history, as a function of the numbers of the user's function.
 
-    Residuals are (measured - model)/deviation at the measured times of the window, one channel
-    after another. A free release (`release`) starts at time 0, without drive unless a frequency is
-    given too; so does a driven motion that is not `settled`, from rest. A settled motion is the
-    steady state itself, of up to `LONGEST` drive periods; where sweeps upwards and downwards
-    arrive at two different ones, the one nearer to the data counts. With `align_phase`
-    every lane has its own shift of the time axis, the best one for its numbers.
+    Residuals are (measured - model)/deviation of all that was sampled in the window, one channel
+    after another. A motion that is not `settled` starts at time 0, from what the history or the
+    numbers sought say, else from rest; before that it moves as it does then. A settled motion is
+    the steady state itself, of up to `LONGEST` drive periods; where sweeps upwards and downwards
+    arrive at two different ones, the one nearer to the data counts. With `align_phase` every lane
+    has its own shift of the time axis, the best one for its numbers.
 
     Raises `ValueError` for a history the system cannot have.
     """
@@ -152,37 +130,36 @@ class HistoryMisfit:
     def __init__(self, maker: Maker, repetitions: Sequence[MeasuredHistory]):
         self.maker = maker
         first = repetitions[0]
-        parts = [history.windowed() for history in repetitions]
-        if len({(tuple(part.channels), part.size) for part in parts}) > 1:
+        found = [history.observations() for history in repetitions]
+        counts = [len(one.value) for one in found]
+        if len({(*h.channels, n) for h, n in zip(repetitions, counts, strict=True)}) > 1:
             raise ValueError(
                 "Repetitions of a history must have the same channels and as many samples in "
                 "their windows."
             )
-        if not parts[0].size:
-            raise ValueError("There are no samples in the window of the history.")
-        channels = tuple(parts[0].channels)
-        noise = [history.noise().deviation for history in repetitions]
-        self.data = Data(
-            np.stack([part.time for part in parts]),
-            np.stack([np.stack([part.channels[c] for c in channels]) for part in parts]),
-            np.array([[found[c] for c in channels] for found in noise]),
-        )
+        self.size = counts[0]
+        """How many residuals there are."""
+        channels = tuple(first.channels)
+        own = record_numbers_in(maker.make, maker.names)
+        delayed = any(h.delay for h in repetitions) or any(n.endswith("_delay") for n in own)
+        self.data = data_of(repetitions, found, delayed)
         # By the kind of system alone, which needs no numbers.
         self.plan = eqx.filter_eval_shape(
             lambda values: _plan(first, channels, maker.system(values)), jnp.ones(len(maker.names))
         )
         given = [h.frequency_ratio if self.plan.is_ratio else h.frequency for h in repetitions]
         self.frequency = np.array([1.0 if f is None else f for f in given])
-        self.release = np.array([h.release or 0.0 for h in repetitions])
-        self.record = _records(repetitions)
-        self.plan = self.plan._replace(together=all(map(_on_samples, parts)))
+        self.numbers = np.stack([numbers_of(history) for history in repetitions])
+        self.record = records_of(repetitions)
+        together = not delayed and all(on_samples(history) for history in repetitions)
+        self.plan = self.plan._replace(
+            delayed=delayed, fitted=places_of(own, channels), together=together
+        )
+        self.anywhere = bool(set(own) & set(BEGINNING)) or first.release is None
+        """Whether a motion without a drive may begin anywhere in the record."""
+        self.sharp = [k for k, c in enumerate(channels) if c in ("contact_force", "acceleration")]
         self.shifts = np.zeros(0)
         """Shifts of the lanes last computed (model time less measured time), s."""
-
-    @property
-    def size(self) -> int:
-        """How many residuals there are: channels times samples."""
-        return self.data.values[0].size
 
     def residuals(
         self,
@@ -191,47 +168,71 @@ class HistoryMisfit:
         frequency_scale: float,
         *,
         precisely: bool = False,
+        shifts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals of all rigs (lanes by `size`) and their derivatives in the numbers.
 
         `values` has lanes by numbers, `which` the repetition that every lane is compared with;
         `frequency_scale` is not used. `precisely` goes on with shifts that would move only a
-        little more. A lane whose motion fails has residuals `LOST` and no derivative.
+        little more; `shifts` (lanes, 2) are limits of them, s. A lane whose motion fails has
+        residuals `LOST` and no derivative.
         """
         values, which = np.asarray(values, float), np.asarray(which, int)
         residual = np.full((len(values), self.size), LOST)
         derivative = np.zeros((len(values), self.size, len(self.maker.names)))
         self.shifts = np.full(len(values), np.nan)
+        limits = np.tile([-np.inf, np.inf], (len(values), 1)) if shifts is None else shifts
         sound = np.flatnonzero(np.isfinite(values).all(axis=1))
         for k in range(0, len(sound), WIDTH):
             own = sound[k : k + WIDTH]
             index = own[filled_up(len(own), WIDTH)]
             with np.errstate(all="ignore"):
-                best, good = self._evaluate(values[index], which[index], precisely)
+                best, good = self._evaluate(values[index], which[index], precisely, limits[index])
             good = good[: len(own)]
             kept, count = own[good], np.flatnonzero(good)
-            residual[kept], derivative[kept] = best.residual[count], best.derivative[count]
+            residual[kept] = best.residual[count, : self.size]
+            derivative[kept] = best.derivative[count, : self.size]
             self.shifts[kept] = best.shift[count]
         return residual, derivative
 
-    def _evaluate(self, values, which, precisely) -> tuple[Trial, np.ndarray]:
+    @property
+    def can_hop(self) -> bool:
+        """Whether the shift is sought, of a motion whose force may set in with a jump."""
+        return self.plan.aligned and self.plan.begins == "start" and bool(self.sharp)
+
+    def beside(self, repetition: int, shift: float) -> list[tuple[float, float]]:
+        """Return limits of the shift with which the motion begins one sample sooner, or later.
+
+        The misfit jumps whenever a sample passes a jump of the force.
+        """
+        if not self.can_hop:
+            return []
+        time, _, _ = self.data.of_channel(repetition, self.sharp[0])
+        place, found = int(np.searchsorted(time, -shift)), []
+        for low in (place - 2, place):
+            if 0 <= low < len(time) - 1:
+                off = 1e-6 * (time[low + 1] - time[low])
+                found.append((off - time[low + 1], -off - time[low]))
+        return found
+
+    def _evaluate(self, values, which, precisely, limits) -> tuple[Trial, np.ndarray]:
         trials = self.maker.trials(
             rig_of,
             self.plan,
             values,
             self.frequency[which],
-            self.release[which],
+            self.numbers[which],
             self.record[which],
         )
         rigs = jax.device_get(trials.made)
-        data = Data(*(part[which] for part in self.data))
+        data = jax.tree.map(lambda part: part[which], self.data)
         if self.plan.begins == "settled":
             state, period, shift, cell = self._steady(trials.made, rigs, data)
         else:
             state, period = rigs.start, np.ones(len(values), np.int32)
-            shift, cell = self._begun(trials.made, rigs, data)
+            shift, cell = self._begun(trials.made, rigs, data, limits)
         enough = 1e-7 if precisely else 1e-3
-        best = self._refined(trials, rigs, data, state, period, shift, 2 * cell, enough)
+        best = self._refined(trials, rigs, data, state, period, shift, limits, 2 * cell, enough)
         if self.plan.begins == "settled":
             length = period * 2 * np.pi / rigs.angular_frequency
             best = best._replace(shift=best.shift - np.round(best.shift / length) * length)
@@ -250,10 +251,10 @@ class HistoryMisfit:
             signals = sampled_signals(made, self.plan, visits[0, start], jnp.asarray(length), GRID)
             signals = np.asarray(signals)
             for k in range(len(one)):
-                places = data.time[k] / length[k] * GRID
                 turns = np.arange(periods[start, k])
                 shifts = np.arange(GRID) if self.plan.aligned else turns * GRID / len(turns)
-                costs = _misfit_of_shifts(data, k, signals[k], places, shifts, True)
+                grid, delays = GRID / length[k], rigs.sensors.delay[k]
+                costs = data.misfit_of_shifts(k, signals[k], grid, delays, shifts, True)
                 place = int(np.argmin(costs))
                 if costs[place] < best[k]:
                     best[k], period[k] = costs[place], len(turns)
@@ -263,33 +264,40 @@ class HistoryMisfit:
                     shift[k] = shifts[place] / GRID * length[k] if self.plan.aligned else 0.0
         return state, period, shift, period * one / GRID
 
-    def _begun(self, made: Rig, rigs: Rig, data: Data) -> tuple[np.ndarray, np.ndarray]:
+    def _begun(
+        self, made: Rig, rigs: Rig, data: Data, limits: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """First shift (s) and its grain of motions that have a beginning."""
         lanes = len(rigs.angular_frequency)
         if not self.plan.aligned:
             return np.zeros(lanes), np.zeros(lanes)
         reach = 2 * np.pi / rigs.angular_frequency
-        if self.plan.begins == "release":
-            reach = REACH * np.ptp(data.time, axis=1)
-        span = np.max(data.time, axis=1) + reach
-        whole = np.max(self.data.time[:, -1]) / np.min(np.diff(self.data.time))
+        if not self.plan.driven:
+            reach = (1.0 if self.anywhere else REACH) * data.span
+        span = np.max(data.seen.time, axis=1) + reach
+        steps = np.diff(np.sort(self.data.seen.time, axis=1))
+        whole = np.max(self.data.seen.time) / np.min(steps[steps > 0])
         count = int(np.clip(2 * whole, GRID, 8 * GRID))
         signals = np.asarray(sampled_signals(made, self.plan, rigs.start, jnp.asarray(span), count))
         shift, cell = np.zeros(lanes), span / count
         for k in range(lanes):
             most = int(reach[k] / cell[k])
             shifts = np.arange(-most, most + 1)
-            places = data.time[k] / cell[k]
-            costs = _misfit_of_shifts(data, k, signals[k], places, shifts, False)
-            shift[k] = shifts[int(np.argmin(costs))] * cell[k]
+            delays = rigs.sensors.delay[k]
+            costs = data.misfit_of_shifts(k, signals[k], 1 / cell[k], delays, shifts, False)
+            low, high = limits[k]
+            allowed = (shifts * cell[k] >= low) & (shifts * cell[k] <= high)
+            best = shifts[int(np.argmin(np.where(allowed, costs, np.inf)))] * cell[k]
+            shift[k] = best if allowed.any() else (low + high) / 2
         return shift, cell
 
-    def _refined(self, trials, rigs, data, state, period, shift, longest, enough) -> Trial:
+    def _refined(self, trials, rigs, data, state, period, shift, shifts, longest, enough) -> Trial:
         """Close the motions and find their shifts, all lanes together."""
         best, step = None, np.zeros(len(shift))
+        pinned = np.zeros(len(shift), bool)
         for _ in range(MOST_ROUNDS):
             passed = jax.device_get(
-                pass_through(trials.made, trials.slopes, self.plan, data.time, state, shift, period)
+                pass_through(trials.made, trials.slopes, self.plan, data.seen, state, shift, period)
             )
             here = _tried(data, passed, rigs, state, shift, len(self.maker.names), self.plan)
             better = np.ones(len(shift), bool)
@@ -305,39 +313,18 @@ class HistoryMisfit:
             whole &= np.isfinite(best.step)
             # A step that went too far is tried again, shorter.
             step = np.where(better, np.clip(best.step, -longest, longest), step / 4)
+            step = np.clip(best.shift + step, *shifts.T) - best.shift
+            pinned = ~better | (step == 0)
             if np.all(~whole | (best.closed & ((best.change <= enough) | (step == 0)))):
                 break
             step = np.where(whole, step, 0.0)
             state = np.where(whole[:, None], best.following, state)
             shift = np.where(whole, best.shift + step, shift)
         assert best is not None
-        return best
-
-
-def _records(repetitions: Sequence[MeasuredHistory]) -> Float[np.ndarray, "repetitions 2 samples"]:
-    """Times (s) and values of the drives as measured, as far as they are needed."""
-    found = []
-    for history in repetitions:
-        record = np.zeros((2, 0))
-        if history.waveform is not None:
-            record = np.stack([history.waveform.time, history.waveform.values])
-            last = float(history.windowed().time[-1])
-            record = record[:, : int(np.searchsorted(record[0], last)) + 1]
-        found.append(record)
-    # Shorter ones go on as they end.
-    longest = max(record.shape[1] for record in found)
-    return np.stack([np.pad(r, ((0, 0), (0, longest - r.shape[1])), mode="edge") for r in found])
-
-
-def _on_samples(history: MeasuredHistory) -> bool:
-    """Whether a history has its samples together with those of its drive, equally spaced."""
-    waveform = history.waveform
-    if waveform is None or not waveform.equally_spaced:
-        return False
-    time = np.asarray(waveform.time)
-    place = (history.time - time[0]) / (time[-1] - time[0]) * (time.size - 1)
-    known = place < time.size - 0.5
-    return bool(known.all() and np.max(np.abs(place - np.round(place))) < 1e-3)
+        # Where a sample would pass a jump of the force, the shift stays before it.
+        pinned &= best.change > enough
+        followed = np.where(pinned[:, None, None], 0.0, best.followed)
+        return best._replace(derivative=best.derivative - followed)
 
 
 def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractSystem) -> Plan:
@@ -360,7 +347,10 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
             f"{kind}. Leave position out, and let its response_map be the sensor."
         )
     if history.release is not None and not beam:
-        raise ValueError(f"release is for the tip of an ImpactingBeam, and this is a {kind}.")
+        raise ValueError(
+            f"release is for the tip of an ImpactingBeam, and this is a {kind}. Give its "
+            "initial_displacement."
+        )
     measured = history.waveform is not None
     driven = measured or history.frequency is not None or history.frequency_ratio is not None
     unknown = [name for name in channels if name in ("displacement", "velocity")]
@@ -374,19 +364,20 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
             f"The absolute {unknown[0]} needs that of the base, and its waveform is measured as an "
             "acceleration. Give the acceleration, or channels relative to the base."
         )
-    if history.release is None and isinstance(system.drive, NoDrive):
+    if driven and isinstance(system.drive, NoDrive):
         raise ValueError(
             "The history has a drive, but the system has none. Give the system its "
             "drive (BaseMotion or PointForce), or the history its release (m)."
         )
-    begins = "settled" if history.settled else "rest"
     return Plan(
         channels=channels,
         position=history.position,
         absolute=history.frame == "absolute",
-        begins="signal" if measured else begins if history.release is None else "release",
+        begins="signal" if measured else "settled" if history.settled else "start",
         is_ratio=history.frequency is None,
         driven=driven,
         aligned=history.align_phase,
         exact=exact,
+        delayed=False,
+        fitted=(),
     )

@@ -14,6 +14,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
+from vibrojax.identification.record_numbers import Recorded, Sensors, apart
 from vibrojax.model.drives import AbstractDrive, AbstractWaveform, BaseMotion, Harmonic, NoDrive
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.signals import Sampled
@@ -43,14 +44,29 @@ class Plan(NamedTuple):
     position: float | None
     absolute: bool
     begins: str
-    """`settled`, `rest`, `release`, or `signal`: at rest, with a drive as measured."""
+    """`settled`, `start`: from a state, or `signal`: from a state, with a drive as measured."""
     is_ratio: bool
     """Whether the drive frequency is a ratio to the first natural one; else Hz."""
     driven: bool
     aligned: bool
     exact: bool
+    delayed: bool
+    """Whether channels have clocks of their own."""
+    fitted: tuple[int, ...]
+    """Places, among the numbers of the record, of those that come with the rig."""
     together: bool = False
     """Whether all samples are some of an equally spaced drive as measured."""
+
+
+class Seen(NamedTuple):
+    """When each lane was looked at, and what was seen then."""
+
+    time: Float[AnyArray, "*lanes samples"]
+    """s."""
+    owner: Int[AnyArray, "*lanes samples"]
+    """Channel by whose clock this time is, where clocks differ."""
+    channel: Int[AnyArray, "*lanes observations"]
+    sample: Int[AnyArray, "*lanes observations"]
 
 
 class Rig(eqx.Module):
@@ -64,8 +80,9 @@ class Rig(eqx.Module):
     """Of the drive, or of the first mode where nothing drives, rad/s."""
     sensor: Float[Array, "*lanes coordinates"]
     """Displacement at the sensor, by coordinate."""
+    sensors: Sensors
     start: Float[Array, "*lanes states"]
-    """(q, q', internal states) at rest or at release."""
+    """(q, q', internal states) where the motion is not settled."""
     record: Float[Array, "*lanes 2 samples"]
     """Times (s) and values of a drive as measured; without samples where there is none."""
     weight: Float[Array, "*lanes states"]
@@ -85,22 +102,39 @@ class Passed(NamedTuple):
     end_derivative: Float[AnyArray, "lanes states directions"]
 
 
-def rig_of(system: Any, plan: Plan, frequency, release, record) -> Rig:
-    """Make a trial rig ready to be driven at a frequency, or released."""
+def start_of(system: Any, equations: LinearEquations, begun: Float[Array, " 2"]) -> tuple:
+    """Return (q, q') for what is reported of displacement and velocity at the beginning."""
+    if system.reported_place is not None:
+        return system.static_shape(begun[0]), system.static_shape(begun[1])
+    # As a blow at the sensor makes it; pulled there, but for what nothing holds.
+    struck = equations.response_map / equations.modal_mass
+    pulled = struck if equations.free else struck / equations.angular_frequency**2
+    shape = lambda way: way / (equations.response_map @ way)  # noqa: E731
+    return begun[0] * shape(pulled), begun[1] * shape(struck)
+
+
+def rig_of(system: Any, plan: Plan, frequency, numbers, record) -> Rig:
+    """Make a trial rig ready: `numbers` are those of its record."""
+    if isinstance(system, Recorded):
+        numbers = numbers.at[jnp.array(plan.fitted)].set(system.numbers)
+        system = system.system
+    begun, sensors = apart(numbers)
     equations = system.equations()
     unit = equations.angular_frequency[0] if plan.is_ratio else jnp.asarray(2 * jnp.pi)
     sensor = equations.response_map
     if plan.position is not None:
         sensor = system.shape_at(plan.position)
-    q = jnp.zeros(equations.size)
-    start = system.static_shape(release) if plan.begins == "release" else q
+    q = v = jnp.zeros(equations.size)
+    if plan.begins != "settled":
+        q, v = start_of(system, equations, begun)
     return Rig(
         equations=equations,
         drive=as_arrays(system.drive) if plan.driven else NoDrive(),
         phases=contact_phases(equations) if plan.exact else None,
         angular_frequency=frequency * unit,
         sensor=sensor,
-        start=jnp.concatenate([start, q, jnp.zeros(equations.memory_size)]),
+        sensors=sensors,
+        start=jnp.concatenate([q, v, jnp.zeros(equations.memory_size)]),
         record=record,
         weight=equations.energy_weight,
     )
@@ -135,8 +169,8 @@ def _advance(motion: Motion, exact: bool, start, duration, state):
 
 
 def _driven_states(rig: Rig, plan: Plan, times: Float[Array, " samples"]):
-    """States (samples, states) at times (s) under a drive as measured, from rest."""
-    motion, begun = _motion(rig), jnp.zeros_like(rig.weight)
+    """States (samples, states) at times (s) under a drive as measured."""
+    motion, begun = _motion(rig), rig.start
     exact = plan.exact
     if exact and plan.together:
         moments, values = rig.record
@@ -178,7 +212,7 @@ def _states(rig: Rig, exact: bool, state, times: Float[Array, " samples"], begun
 
 
 def _signals(rig: Rig, plan: Plan, times, states) -> Float[Array, "channels samples"]:
-    """What the sensors show."""
+    """What is there to be shown, before the sensors' gains and offsets."""
     motion = _motion(rig)
     equations = motion.sharp_equations()
     moving = plan.absolute and isinstance(rig.drive, BaseMotion)
@@ -253,43 +287,58 @@ def settle(
 
 @compiled
 def sampled_signals(rigs: Rig, plan: Plan, state, span, count: int):
-    """Signals (lanes, channels, count) at equal intervals from time 0 over a span (s)."""
+    """What sensors show (lanes, channels, count) at equal intervals from 0 over a span (s)."""
 
     def one(rig, state, span):
         times = span * jnp.arange(count) / count
-        return _signals(rig, plan, times, _states(rig, plan.exact, state, times))
+        shown = _signals(rig, plan, times, _states(rig, plan.exact, state, times))
+        return rig.sensors.gain[:, None] * shown + rig.sensors.offset[:, None]
 
     return jax.vmap(one)(rigs, state, span)
 
 
+def _before(rig: Rig, plan: Plan, early: Float[Array, " samples"], shown):
+    """Let what comes `early` (s, up to 0) move on to the beginning at the velocity it has there."""
+    _, v, _ = rig.equations.split(rig.start)
+    for row, name in enumerate(plan.channels):
+        if name == "displacement":
+            shown = shown.at[row].add(rig.sensor @ v * early)
+        elif name == "acceleration":
+            shown = shown.at[row].set(jnp.where(early < 0, 0.0, shown[row]))
+    return shown
+
+
 @compiled
-def pass_through(rigs: Rig, slopes: Rig, plan: Plan, time, state, shift, period) -> Passed:
-    """Pass through the measured times (lanes, samples), each moved by the shift (s) of its lane.
+def pass_through(rigs: Rig, slopes: Rig, plan: Plan, seen: Seen, state, shift, period) -> Passed:
+    """Pass through the measured times, each moved by the shift (s) of its lane.
 
     `state` and `period` (drive periods) are those of a steady motion at drive phase 0.
     """
 
-    def one(rig, slope, time, state, shift, period):
+    def one(rig, slope, seen, state, shift, period):
         settled = plan.begins == "settled"
 
         def model(rig, shift, state):
+            at = seen.time - rig.sensors.delay[seen.owner] if plan.delayed else seen.time
             if plan.begins == "signal":
-                states = _driven_states(rig, plan, time)
-                return _signals(rig, plan, time, states).reshape(-1), states[-1]
-            at = time + shift
-            length = period * 2 * jnp.pi / rig.angular_frequency
-            if settled:
-                at = at - lax.stop_gradient(jnp.floor(at / length)) * length
-            held = at < 0  # before it is let go
-            at = jnp.maximum(at, 0.0)
-            order = jnp.argsort(at)
-            rising = jnp.append(at[order], length) if settled else at[order]
-            states = _states(rig, plan.exact, state if settled else rig.start, rising)
-            shown = _signals(rig, plan, at, states[jnp.argsort(order)])
-            if "acceleration" in plan.channels:
-                row = plan.channels.index("acceleration")
-                shown = shown.at[row].set(jnp.where(held, 0.0, shown[row]))
-            return shown.reshape(-1), states[-1]
+                at = jnp.maximum(at, rig.record[0, 0]) if plan.delayed else at
+                states = _driven_states(rig, plan, at)
+                shown, end = _signals(rig, plan, at, states), states[-1]
+            else:
+                at = at + shift
+                length = period * 2 * jnp.pi / rig.angular_frequency
+                if settled:
+                    at = at - lax.stop_gradient(jnp.floor(at / length)) * length
+                early, at = jnp.minimum(at, 0.0), jnp.maximum(at, 0.0)
+                order = jnp.argsort(at)
+                rising = jnp.append(at[order], length) if settled else at[order]
+                states = _states(rig, plan.exact, state if settled else rig.start, rising)
+                shown, end = _signals(rig, plan, at, states[jnp.argsort(order)]), states[-1]
+                if not settled:
+                    shown = _before(rig, plan, early, shown)
+            gain, offset, _ = rig.sensors
+            shown = gain[:, None] * shown + offset[:, None]
+            return shown[seen.channel, seen.sample], end
 
         numbers, n = slope.angular_frequency.size, state.size if settled else 0
         rows = numbers + 1 + n
@@ -305,4 +354,4 @@ def pass_through(rigs: Rig, slopes: Rig, plan: Plan, time, state, shift, period)
         )(tangents)
         return Passed(values, end, *slopes_of)
 
-    return jax.vmap(one)(rigs, slopes, time, state, shift, period)
+    return jax.vmap(one)(rigs, slopes, seen, state, shift, period)

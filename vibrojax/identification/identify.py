@@ -42,7 +42,7 @@ APART = 3.0
 def identify(
     make_system: Callable[..., AbstractSystem],
     measured: Any,
-    guess: Mapping[str, float],
+    guess: Mapping[str, float | None],
     bounds: Mapping[str, Range] | None = None,
     *,
     together: Literal[True] = True,
@@ -61,7 +61,7 @@ def identify(
 def identify(
     make_system: Callable[..., AbstractSystem],
     measured: Any,
-    guess: Mapping[str, float],
+    guess: Mapping[str, float | None],
     bounds: Mapping[str, Range] | None = None,
     *,
     together: Literal[False],
@@ -80,7 +80,7 @@ def identify(
 def identify(
     make_system: Callable[..., AbstractSystem],
     measured: Any,
-    guess: Mapping[str, float],
+    guess: Mapping[str, float | None],
     bounds: Mapping[str, Any] | None = None,
     *,
     together: bool = True,
@@ -104,7 +104,10 @@ def identify(
         make_system: function from named numbers to a system.
         measured: `MeasuredCurve`, `MeasuredHistory`, several of either, or the path of a curve.
             Several are fitted at once; `parameters` of each are arguments that hold for it.
-        guess: first values of the numbers to fit, by argument of the function.
+        guess: first values of the numbers to fit, by argument of the function. Of histories also
+            numbers of the record itself: `initial_displacement`, `initial_velocity`, and of a
+            channel its `gain`, `offset` and `delay`, as `contact_force_offset`; None: begin with
+            what the history says, of a velocity else with its first one measured.
         bounds: `vj.Range(low, high)` for some of them.
         together: False to fit each element of the list `measured` by itself, all with the same
             settings, and return a list. All must have as many points; their curves are followed
@@ -138,7 +141,11 @@ def identify(
     problem = Problem(make_system, data, coordinates, objective, held)
     fits = _Fits(problem, data, search or LevenbergMarquardt(), frequency_scales)
     fits.run(searches)
-    found = [fits.result(k, confidence) for k in range(len(data))]
+    call = {"guess": dict(guess), "bounds": bounds, "private": tuple(private)}
+    call |= {"objective": objective, "search": search, "transforms": transforms}
+    call |= {"searches": searches, "frequency_scales": frequency_scales}
+    call |= {"confidence": confidence, **numbers}
+    found = [fits.result(k, call) for k in range(len(data))]
     return found[0] if together else found
 
 
@@ -193,8 +200,9 @@ class _Fits:
             )
         return point
 
-    def result(self, k: int, confidence: float) -> Identification:
-        """Judge the best minimum of a repetition."""
+    def result(self, k: int, call: dict[str, Any]) -> Identification:
+        """Judge the best minimum of a repetition; `call` is what `identify` was asked for."""
+        confidence: float = call["confidence"]
         problem, freedom, names = self.problem, self.degrees_of_freedom, self.problem.names
         point, residual, jacobian, curves = self.searches.best(k)
         known = uncertainty(residual, jacobian, point, problem.coordinates, freedom, confidence)
@@ -248,6 +256,7 @@ class _Fits:
             repetition=k,
             frequency_scale=self.last,
             point=point,
+            call=call,
         )
 
     def _alternatives(self, k: int, covariance: np.ndarray) -> tuple[Alternative, ...]:

@@ -15,6 +15,12 @@ from vibrojax.identification.coordinates import Coordinate, coordinate_of
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.fold_misfit import FoldMisfit
 from vibrojax.identification.history_misfit import HistoryMisfit
+from vibrojax.identification.record_numbers import (
+    first_value,
+    has_number,
+    record_numbers_in,
+    size_of,
+)
 from vibrojax.identification.trail import Trail, residuals_along
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
@@ -72,7 +78,7 @@ def label_of(measurement: Measurement, index: int) -> str:
 def fitted_and_held(
     make: Callable[..., AbstractSystem],
     measured: tuple[Measurement, ...],
-    guess: Mapping[str, float],
+    guess: Mapping[str, float | None],
     bounds: Mapping[str, Any],
     private: Sequence[str],
     transforms: Mapping[str, str],
@@ -84,9 +90,10 @@ def fitted_and_held(
             f"guess must name at least one number to fit, as dict(stiffness=3000.0), got {guess!r}."
         )
     of_curves = {n: v for m in measured for n, v in m.parameters.items()}
+    of_records = record_numbers_in(make, guess)
     places = {"guess": guess, "private": private, "parameters of measured": of_curves}
     for where, names in places.items():
-        check_names(make, names, where)
+        check_names(make, [name for name in names if name not in of_records], where)
     for where, names in {"bounds": bounds, "transforms": transforms, "private": private}.items():
         for name in names:
             if name not in guess:
@@ -99,7 +106,8 @@ def fitted_and_held(
                 f"{name} is fitted (in guess), but the measurement says what it is. Leave it out "
                 "of one of the two."
             )
-    named = arguments_of(make, (), {**of_curves, **guess, **held})
+    of_rig = {name: value for name, value in guess.items() if name not in of_records}
+    named = arguments_of(make, (), {**of_curves, **of_rig, **held})
     if named.dimensions:
         name = named.dimensions[0].name
         raise ValueError(
@@ -112,9 +120,48 @@ def fitted_and_held(
         raise ValueError(f"Two measurements have the label {twice[0]!r}.")
     found = []
     for name, value in guess.items():
-        one = coordinate_of(name, float(value), bounds.get(name), transforms.get(name))
+        how = bounds.get(name), transforms.get(name)
+        if name in of_records:
+            histories = {
+                n: m for n, m in zip(labels, measured, strict=True) if _has_number(m, name)
+            }
+            found += _of_records(name, value, how, histories, name in private)
+            continue
+        if value is None:
+            raise ValueError(f"guess of {name} must be a number, got None.")
+        one = coordinate_of(name, float(value), *how)
         found += [one._replace(label=m) for m in labels] if name in private else [one]
     return tuple(found), {n: v for n, v in named.fixed.items() if n in held}
+
+
+def _has_number(measured: Measurement, name: str) -> bool:
+    return isinstance(measured, MeasuredHistory) and has_number(measured, name)
+
+
+def _of_records(
+    name: str, value: float | None, how: tuple, histories: dict[str, Any], private: bool
+) -> list[Coordinate]:
+    """Coordinates of a number of records: one for all, or one for each. `value` as of `identify`.
+
+    Raises `ValueError` where no history has this number.
+    """
+    if not histories:
+        raise ValueError(
+            f"{name} is a number of a record, and nothing measured has it: it takes a history "
+            "that is not settled, or with that channel."
+        )
+    said = {
+        label: first_value(h, name) if value is None else value for label, h in histories.items()
+    }
+    if not private:
+        said = {"": float(np.mean(list(said.values())))}
+    size = max(size_of(history, name) for history in histories.values())
+    found = []
+    for label, first in said.items():
+        one = coordinate_of(name, float(first), *how)
+        scale = size if one.kind == "linear" else one.scale
+        found.append(one._replace(label=label, scale=scale))
+    return found
 
 
 class Problem:
@@ -139,8 +186,15 @@ class Problem:
         self.misfits: list[CurveMisfit | HistoryMisfit] = []
         for k, same in enumerate(zip(*repetitions, strict=True)):
             label = label_of(same[0], k)
-            own = {c.argument: i for i, c in enumerate(coordinates) if c.label in ("", label)}
-            self.unknowns.append(own)
+            of_records = record_numbers_in(make, [c.argument for c in coordinates])
+            self.unknowns.append(
+                {
+                    c.argument: i
+                    for i, c in enumerate(coordinates)
+                    if c.label in ("", label)
+                    and (c.argument not in of_records or _has_number(same[0], c.argument))
+                }
+            )
             self.misfits.append(self._misfit(k, same))
         count = sum(m.size for m in repetitions[0])
         if count < len(coordinates):
@@ -177,8 +231,16 @@ class Problem:
         self, numbers: Sequence[float] | np.ndarray, k: int, measured: Measurement
     ) -> AbstractSystem:
         """Make the rig of the `k`-th measurement with these numbers (unknowns)."""
+        return made_by(self.make, self.arguments(numbers, k, measured))
+
+    def arguments(
+        self, numbers: Sequence[float] | np.ndarray, k: int, measured: Measurement
+    ) -> dict[str, Any]:
+        """Return the arguments of the function of the rig, for the `k`-th measurement."""
         fitted = {name: float(numbers[i]) for name, i in self.unknowns[k].items()}
-        return made_by(self.make, self.held | measured.parameters | fitted)
+        for name in record_numbers_in(self.make, fitted):
+            del fitted[name]
+        return self.held | measured.parameters | fitted
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -219,10 +281,12 @@ class Problem:
         precisely: bool = False,
         trail: Trail | None = None,
         starts: Sequence[int] | np.ndarray = (),
+        shifts: dict[int, np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and their derivatives in the coordinates; `which`: repetition of each lane.
 
-        With a `trail` the lanes of curves go on from what it keeps of their `starts`.
+        With a `trail` the lanes of curves go on from what it keeps of their `starts`. `shifts`:
+        limits (lanes, 2) of those of some histories, by measurement.
         """
         slopes, residuals, jacobians = self.slopes(points), [], []
         for k, misfit in enumerate(self.misfits):
@@ -233,8 +297,9 @@ class Problem:
                     trail, keys, misfit, numbers, which, frequency_scale, precisely
                 )
             else:
+                limits = {"shifts": shifts[k]} if shifts and k in shifts else {}
                 residual, derivative = misfit.residuals(
-                    numbers, which, frequency_scale, precisely=precisely
+                    numbers, which, frequency_scale, precisely=precisely, **limits
                 )
             jacobian = np.zeros((*residual.shape, len(self.coordinates)))
             own = list(self.unknowns[k].values())

@@ -13,6 +13,7 @@ from vibrojax._tools.compiled import compiled
 from vibrojax.branches.along import check_equations
 from vibrojax.branches.tracing import free_motion
 from vibrojax.ensemble.slopes import WithSlopes, systems_with_slopes, with_slopes
+from vibrojax.identification.record_numbers import RecordedBy, record_numbers_in
 from vibrojax.identification.sensor import observe
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.steady.condensed import balance, condensed_problem
@@ -65,9 +66,9 @@ class Maker:
         """What `read(system, how, *own)` makes of the rigs with these values (lanes by names)."""
         numbers = {n: jnp.full(len(values), v) for n, v in self.fixed.items()}
         numbers |= dict(zip(self.names, np.asarray(values, float).T, strict=True))
-        made, slopes = jax.device_get(
-            systems_with_slopes(self.make, self.static, self.names, numbers)
-        )
+        apart = record_numbers_in(self.make, self.names)
+        make: Any = RecordedBy(self.make, apart) if apart else self.make
+        made, slopes = jax.device_get(systems_with_slopes(make, self.static, self.names, numbers))
         # What is the same in all rigs, as the modes of a beam whose stop is sought, is read once.
         moves = jax.tree.map(lambda a, b: bool(np.any(b) or np.any(a != a[:1])), made, slopes)
         if not any(jax.tree.leaves(moves)):
@@ -78,7 +79,10 @@ class Maker:
 
     def system(self, values: Any) -> AbstractSystem:
         """Make one rig."""
-        return self.make(**self.static, **self.fixed, **dict(zip(self.names, values, strict=True)))
+        numbers = dict(zip(self.names, values, strict=True))
+        for name in record_numbers_in(self.make, self.names):
+            del numbers[name]
+        return self.make(**self.static, **self.fixed, **numbers)
 
 
 @compiled(lightly=True)
