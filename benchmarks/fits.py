@@ -24,7 +24,9 @@ def measured(seed: int) -> vj.io.MeasuredCurve:
     data = sweep.to_xarray()[["amplitude_ratio"]]
     noise = np.random.default_rng(seed).normal(size=data["amplitude_ratio"].shape)
     data["amplitude_ratio"] = data["amplitude_ratio"] * (1 + 0.02 * noise)
-    return vj.io.read_measured_curve(data)
+    found = vj.io.read_measured_curve(data)
+    assert isinstance(found, vj.io.MeasuredCurve)
+    return found
 
 
 def best(what: Callable[[], object], times: int) -> float:
@@ -39,7 +41,7 @@ def best(what: Callable[[], object], times: int) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--times", type=int, default=2)
     times = parser.parse_args().times
     one, many = measured(0), [measured(seed) for seed in range(DRAWS)]

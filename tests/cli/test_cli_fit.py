@@ -163,6 +163,17 @@ def test_the_function_takes_what_is_fitted():
     assert (stop.law.damping, made.beam.length) == (5e-5, 0.2)
 
 
+def test_the_text_of_the_function(folder):
+    for rig in (None, Path("rig.toml")):
+        text, files = cli_fit.source_of_rig(rig, ["stiffness", "gap"])
+        names = {"vibrojax": vj, "HERE": folder}
+        exec(text, names)
+        system = vj.default_rig() if rig is None else vj.io.read_rig(rig)[0]
+        wanted = cli_fit.rig_function(system, ["stiffness", "gap"])
+        assert repr(names["rig"](stiffness=3.0)) == repr(wanted(stiffness=3.0))
+        assert files == ({} if rig is None else {"rig.toml": RIG})
+
+
 def test_every_number_can_be_changed():
     system = vj.default_rig(position=0.6)
     known = cli_fit.rig_numbers(system)
@@ -200,6 +211,8 @@ def test_the_other_stops_stay():
         (["--rig", "nothing.toml"], "Rig file 'nothing.toml' does not exist"),
         (["--output", "fit.txt"], "--output must be a name without ending"),
         (["--output", "no/fit"], "--output: the folder 'no' does not exist"),
+        (["--report", "no/report.html"], "--report: the folder 'no' does not exist"),
+        (["--report", "report.pdf"], "--report must end in .html or .htm, got 'report.pdf'"),
     ],
 )
 def test_wrong_options(folder, capsys, asked, options, sentence):
@@ -266,6 +279,7 @@ def test_as_a_process(folder):
         "rig.toml",
     ]
     options = ["--guess", "stiffness=3500", "damping=1e-4", "--output", "found"]
+    options += ["--report", "report.html"]
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     report = json.loads(Path("found.json").read_text())
@@ -274,3 +288,6 @@ def test_as_a_process(folder):
     assert 0.5 < report["reduced_chi_square"] < 2.0
     assert f"stiffness  {report['parameters']['stiffness']['estimate']:.5g}" in done.stdout
     assert Path("found.png").read_bytes()[:4] == b"\x89PNG"
+    page = Path("report.html").read_text("utf-8")
+    assert "rig = rig_function(vibrojax.io.read_rig(" in page
+    assert "It does not run as it is" not in page

@@ -222,6 +222,7 @@ class Fit:
     Try:
     $ vibrojax fit curve.csv --rig rig.toml
     $ vibrojax fit curve.csv --rig rig.toml --fit stiffness gap --guess stiffness=3000
+    $ vibrojax fit curve.csv --rig rig.toml --report report.html
     $ vibrojax fit curve.csv --columns frequency=f amplitude=tip --units frequency=Hz amplitude=mm
     """
 
@@ -267,8 +268,10 @@ class Fit:
     frame: Annotated[
         Literal["relative", "absolute"] | None, _said("{relative,absolute}", "relative")
     ] = None
-    # name of the report (.json) and the picture (.png)
+    # name of the numbers (.json) and the picture (.png)
     output: Annotated[Path, _said("FILE", "fit")] = Path("fit")
+    # page for a colleague, with the data and a script that repeats the fit (.html)
+    report: Annotated[Path | None, _said("FILE", "not written")] = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -49,8 +49,8 @@ from vibrojax.steady.paths import FrequencyPath
 MOST_POINTS = 300
 LONGEST_STEP = 0.16
 """Along the curve: generous, since nearest points are solved for."""
-FEW = 3
-"""Curves that are not worth a wide loop."""
+ALONE = (1,)
+"""Curves followed in one loop: several wait for the longest, and mostly there is but one."""
 MARGIN = 0.02
 """How far beyond the measured frequencies a curve is followed, relative."""
 FEW_ROUNDS, MANY_ROUNDS = 4, 30
@@ -122,8 +122,10 @@ class CurveMisfit:
         made, slopes = jax.device_get(
             self.maker.trials(frequency_path, self.is_ratio, values[index])
         )
-        changing = eqx.filter(slopes, jax.tree.map(lambda a: bool(np.any(a)), slopes))
-        return take(WithSlopes(made, changing), slice(len(values)))
+        changes = jax.tree.map(lambda a: bool(np.any(a)), slopes)
+        if any(jax.tree.leaves(changes)):  # no derivatives along what no number changes
+            slopes = eqx.filter(slopes, changes)
+        return take(WithSlopes(made, slopes), slice(len(values)))
 
     def curves(self, paths: FrequencyPath) -> list[Curve]:
         """Follow the response curves of all rigs over the measured range, at every drive level."""
@@ -148,17 +150,7 @@ class CurveMisfit:
         from_high = (free[0][1] & ~free[1][1])[:lanes]
 
         def trace(index: np.ndarray, down: np.ndarray) -> list[Traced]:
-            # What a few lanes would wait for in a wide loop costs more than going one by one.
-            few = len(index) % WIDTHS[-1]
-            whole = len(index) - (few if few <= FEW else 0)
-            parts = zip(np.split(index, [whole]), (WIDTHS[-1:], WIDTHS[:1]), strict=True)
-            return [one for part, widths in parts for one in side_by_side(part, down, widths)]
-
-        def side_by_side(index, down, widths) -> list[Traced]:
-            if not len(index):
-                return []
             low, high = (depth[index] for depth, _ in free)
-            down = down[index]
             return trace_over(
                 take(paths, index),
                 np.where(down, self.high, self.low),
@@ -170,14 +162,14 @@ class CurveMisfit:
                 longest=LONGEST_STEP,
                 samples=SAMPLES,
                 max_points=MOST_POINTS,
-                widths=widths,
+                widths=ALONE,
             )
 
         pieces = [[piece] for piece in trace(np.arange(lanes), from_high)]
         short = [k for k, (piece,) in enumerate(pieces) if piece.ending is not Ending.completed]
         if short:
             again = np.array(short)
-            for k, piece in zip(short, trace(again, ~from_high), strict=True):
+            for k, piece in zip(short, trace(again, ~from_high[again]), strict=True):
                 pieces[k].append(piece)
         return self._seen(paths, pieces)
 

@@ -147,7 +147,11 @@ def identify(
     problem = Problem(make_system, data, coordinates, objective, held)
     fits = _Fits(problem, data, search or LevenbergMarquardt(), frequency_scales)
     fits.run(searches)
-    found = [fits.result(k, confidence) for k in range(len(data))]
+    call = {"guess": dict(guess), "bounds": bounds, "private": tuple(private)}
+    call |= {"objective": objective, "search": search, "transforms": transforms}
+    call |= {"searches": searches, "frequency_scales": frequency_scales}
+    call |= {"confidence": confidence, **numbers}
+    found = [fits.result(k, call) for k in range(len(data))]
     return found[0] if together else found
 
 
@@ -203,8 +207,9 @@ class _Fits:
             )
         return point
 
-    def result(self, k: int, confidence: float) -> Identification:
-        """Judge the best minimum of a repetition."""
+    def result(self, k: int, call: dict[str, Any]) -> Identification:
+        """Judge the best minimum of a repetition; `call` is what `identify` was asked for."""
+        confidence: float = call["confidence"]
         problem, freedom, names = self.problem, self.degrees_of_freedom, self.problem.names
         point, residual, jacobian, curves = self.searches.best(k)
         known = uncertainty(residual, jacobian, point, problem.coordinates, freedom, confidence)
@@ -260,6 +265,7 @@ class _Fits:
             repetition=k,
             frequency_scale=self.last,
             point=point,
+            call=call,
         )
 
     def _alternatives(self, k: int, covariance: np.ndarray) -> tuple[Alternative, ...]:

@@ -190,7 +190,7 @@ def nearest_points(
         )
 
     unknowns = depth.shape[1] * samples
-    sizes = (*(unknowns * k // 16 for k in (1, 5, 9)), unknowns)
+    sizes = (*(unknowns * k // 16 for k in (1, 3, 6, 9)), unknowns)
     solvers = [
         jax.vmap(lambda p, a, r, size=size: solve_condensed(p, a, r, samples, size))
         for size in sizes

@@ -234,10 +234,16 @@ class Problem:
         self, numbers: Sequence[float] | np.ndarray, k: int, measured: Measurement
     ) -> AbstractSystem:
         """Make the rig of the `k`-th measurement with these numbers (unknowns)."""
+        return made_by(self.make, self.arguments(numbers, k, measured))
+
+    def arguments(
+        self, numbers: Sequence[float] | np.ndarray, k: int, measured: Measurement
+    ) -> dict[str, Any]:
+        """Return the arguments of the function of the rig, for the `k`-th measurement."""
         fitted = {name: float(numbers[i]) for name, i in self.unknowns[k].items()}
         for name in record_numbers_in(self.make, fitted):
             del fitted[name]
-        return made_by(self.make, self.held | measured.parameters | fitted)
+        return self.held | measured.parameters | fitted
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -278,22 +284,25 @@ class Problem:
         precisely: bool = False,
         trail: Trail | None = None,
         starts: Sequence[int] | np.ndarray = (),
+        shifts: dict[int, np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and their derivatives in the coordinates; `which`: repetition of each lane.
 
-        With a `trail` the lanes of curves go on from what it keeps of their `starts`.
+        With a `trail` the lanes of curves go on from what it keeps of their `starts`. `shifts`:
+        limits (lanes, 2) of those of some histories, by measurement.
         """
         slopes, residuals, jacobians = self.slopes(points), [], []
         for k, misfit in enumerate(self.misfits):
             numbers = self.of_measurement(k, points)
             if trail is not None and isinstance(misfit, CurveMisfit) and not misfit.pointwise:
-                keys = [(k, start) for start in starts]
+                keys = [(k, int(start)) for start in starts]
                 residual, derivative = residuals_along(
                     trail, keys, misfit, numbers, which, frequency_scale, precisely
                 )
             else:
+                limits = {"shifts": shifts[k]} if shifts and k in shifts else {}
                 residual, derivative = misfit.residuals(
-                    numbers, which, frequency_scale, precisely=precisely
+                    numbers, which, frequency_scale, precisely=precisely, **limits
                 )
             jacobian = np.zeros((*residual.shape, len(self.coordinates)))
             own = list(self.unknowns[k].values())

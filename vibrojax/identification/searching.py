@@ -1,11 +1,14 @@
 """Searches for the numbers of several repetitions, side by side: where they begin and end."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from vibrojax.identification.coordinates import Coordinate
+from vibrojax.identification.curve_misfit import CurveMisfit
+from vibrojax.identification.history_misfit import HistoryMisfit
 from vibrojax.identification.least_squares import Search
 from vibrojax.identification.problem import Problem
 from vibrojax.identification.trail import Trail
@@ -23,6 +26,8 @@ FACTORS = (0.1, 0.3, 3.0, 10.0)
 """By which the stiffness is multiplied around a hopeless guess, and where a search ended poorly."""
 WORSE = 3.0
 """Factor of chi-square by which a stiffer stop is so much worse that stiffer ones are left out."""
+MOST_HOPS, HOP = 4, 0.1
+"""How often histories may begin another sample sooner or later, and what that has to gain."""
 NEARER = 0.05
 """Fall of chi-square, once all curves are followed anew, after which a search goes on."""
 
@@ -33,7 +38,7 @@ class Ended(NamedTuple):
     point: np.ndarray
     residual: np.ndarray
     jacobian: np.ndarray
-    curves: dict[int, Curve]
+    curves: dict[int, Curve | None]
     """Curves that were followed there, by measurement."""
 
     @property
@@ -87,6 +92,32 @@ class Searches:
             if self._is_poor(self.best(k).cost):
                 again = restarts(begin[k], problem.coordinates)
                 self._search(again, np.repeat(k, len(again)), {})
+        self._hop()
+
+    def _hop(self) -> None:
+        """Let motions of histories begin a sample sooner or later, as long as that is better."""
+        models = [
+            (k, model)
+            for k, model in enumerate(self.problem.misfits)
+            if isinstance(model, HistoryMisfit)
+        ]
+        repetitions = range(len(self.ended))
+        for _ in range(MOST_HOPS if any(model.can_hop for _, model in models) else 0):
+            points, which, held = [], [], []
+            for k in repetitions:
+                point = self.best(k).point
+                self.problem.evaluate(point[None], np.array([k]), self.last)
+                for m, model in models:
+                    for limits in model.beside(k, model.shifts[0]):
+                        points.append(point)
+                        which.append(k)
+                        held.append((m, limits))
+            if not points:
+                return
+            before = [self.best(k).cost for k in repetitions]
+            self._search(np.array(points), np.array(which), {}, STAGES[-1:], held)
+            if all(self.best(k).cost > b - HOP for k, b in enumerate(before)):
+                return
 
     def _is_poor(self, cost, limit: float = POOR):
         return cost > limit * self.degrees_of_freedom
@@ -115,6 +146,8 @@ class Searches:
 
         From soft to stiff, as curves of stiff stops are long, until one is good or all get worse.
         """
+        if not any(isinstance(m, CurveMisfit) for m in self.problem.misfits):
+            return begin
         starts = np.arange(len(begin))
         cost = self._costs(begin, which, self.first, trail, starts)
         low, high = self.problem.limits
@@ -138,19 +171,31 @@ class Searches:
         which: np.ndarray,
         trail: Trail,
         stages: tuple[tuple[float, float], ...] = STAGES,
+        held: Sequence[tuple[int, tuple[float, float]]] = (),
+        *,
+        again: bool = True,
     ) -> None:
-        """Search from some points, of the repetitions `which`; `trail` is of the first stage."""
+        """Search from some points, of the repetitions `which`; `trail` is of the first stage.
+
+        `held`: a measurement and limits of its shift, by lane.
+        """
         if not len(points):
             return
         low, high = self.problem.limits
         middle, cost = self.problem.guess, np.zeros(0)
         low, high = np.maximum(low, middle - FARTHEST), np.minimum(high, middle + FARTHEST)
+        shifts = {
+            m: np.array([own if n == m else (-np.inf, np.inf) for n, own in held]) for m, _ in held
+        }
         for stage, (share, tolerance) in enumerate(stages):
             trail = {} if stage else trail
             scale = self.first ** (1 - share) * self.last**share
 
             def evaluate(points, lanes, scale=scale, trail=trail):
-                return self.problem.evaluate(points, which[lanes], scale, trail=trail, starts=lanes)
+                own = {m: limits[lanes] for m, limits in shifts.items()}
+                return self.problem.evaluate(
+                    points, which[lanes], scale, trail=trail, starts=lanes, shifts=own
+                )
 
             found = self.search(evaluate, points, low, high, tolerance)
             points, cost = found.point, found.cost
@@ -161,12 +206,12 @@ class Searches:
         )
         np.add.at(self.evaluations, which, 1)
         # Points that were gone on from may be nearer to another part of the curve by now.
-        again = cost - np.sum(residual**2, axis=1) > NEARER
-        for lane in starts[~again]:
+        nearer = (cost - np.sum(residual**2, axis=1) > NEARER) & (again and bool(trail))
+        for lane in starts[~nearer]:
             curves = {i: kept.curve for (i, start), kept in trail.items() if start == lane}
             end = Ended(points[lane], residual[lane], jacobian[lane], curves)
             self.ended[which[lane]].append(end)
-        self._search(points[again], which[again], {}, stages[-1:])
+        self._search(points[nearer], which[nearer], {}, stages[-1:], again=False)
 
 
 def restarts(point: np.ndarray, coordinates: tuple[Coordinate, ...]) -> np.ndarray:

@@ -1,6 +1,6 @@
 """What a search keeps of its trials: from nearest points known, the next ones are predicted."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,13 +55,14 @@ class Kept(NamedTuple):
         """
         moved, known = values - self.values, self.nearest
         change = np.einsum("n,pnsh->psh", moved, known.depth_slope)
-        shift = known.frequency_slope @ moved
+        shift = np.asarray(known.frequency_slope @ moved)
         size = dot(known.depth, known.depth)
         far = np.sqrt(dot(change, change) / size + (shift / scale) ** 2)
         if not (known.found & (known.newton < CONVERGED) & (far < FARTHEST)).all():
             return None
         point = np.flatnonzero(~self.rests)
-        return point, (known.depth + change)[point], (known.frequency + shift)[point]
+        depth, frequency = known.depth + change, known.frequency + shift
+        return point, np.asarray(depth)[point], np.asarray(frequency)[point]
 
     def improved(self, guesses: Guesses, scale: float) -> Guesses:
         """Return guesses of the nearest points of the same trial, exact where they agree."""
@@ -89,13 +90,13 @@ class Kept(NamedTuple):
         return bool((found.found & (beyond < ASTRAY)).all())
 
 
-Trail = dict[Hashable, Kept]
-"""The best trial at one frequency scale, by start."""
+Trail = dict[tuple[int, int], Kept]
+"""The best trials at one frequency scale, by measurement and start."""
 
 
 def residuals_along(
     trail: Trail,
-    keys: Sequence[Hashable],
+    keys: Sequence[tuple[int, int]],
     misfit: CurveMisfit,
     values: np.ndarray,
     which: np.ndarray,
@@ -122,53 +123,45 @@ def residuals_along(
     for predicting in (False,) if precisely else (True, False):
         if not left:
             break
-        lanes = misfit.lanes(values[left])
-        known = [trail.get(keys[lane]) if predicting else None for lane in left]
-        starts = _starts(misfit, lanes.made, known, values[left])
-        guesses = list(starts)
-        for k, lane in enumerate(left):
-            kept = trail.get(keys[lane])
-            if precisely and kept is not None and kept.is_of(values[lane]):
-                whole = misfit.guesses(starts[k], int(which[lane]), frequency_scale)
-                guesses[k] = kept.improved(whole, misfit.scale)
-        rows, nearest = misfit.nearest(lanes, guesses, which[left], frequency_scale, precisely)
+        lanes, kept = misfit.lanes(values[left]), [trail.get(keys[lane]) for lane in left]
+        starts: list[Any] = [None] * len(left)
+        for k, before in enumerate(kept):
+            if predicting and before is not None:
+                starts[k] = before.ahead(values[left[k]], misfit.scale)
+        curves = _curves(misfit, lanes.made, values[left], [start is None for start in starts])
+        for k, curve in curves.items():
+            starts[k], before, lane = curve, kept[k], left[k]
+            if precisely and before is not None and before.is_of(values[lane]):
+                guesses = misfit.guesses(curve, int(which[lane]), frequency_scale)
+                starts[k] = before.improved(guesses, misfit.scale)
+        rows, nearest = misfit.nearest(lanes, starts, which[left], frequency_scale, precisely)
         lost = []
         for k, lane in enumerate(left):
             mine = np.flatnonzero(rows // misfit.points == k)
-            before, curve, own = known[k], starts[k], take(nearest, mine)
-            if isinstance(curve, Curve):
-                if not len(mine):
-                    continue
-            else:
-                curve = None
+            own, before = take(nearest, mine), kept[k]
+            if k not in curves:
                 assert before is not None  # from which it was predicted
                 own = before.with_points(rows[mine] % misfit.points, own)
                 if not before.leads_to(own, values[lane]):
                     lost.append(lane)
                     continue
+            elif not len(mine):
+                continue
             put_down(lane, own)
-            found = Kept(values[lane], own, curve)
-            if precisely or keys[lane] not in trail or found.cost <= trail[keys[lane]].cost:
+            found = Kept(values[lane], own, curves.get(k))
+            if precisely or before is None or found.cost <= before.cost:
                 trail[keys[lane]] = found
         left = lost
     return residual, derivative
 
 
-def _starts(
-    misfit: CurveMisfit, paths: FrequencyPath, known: Sequence[Kept | None], values: np.ndarray
-) -> list[Curve | Guesses]:
-    """Where to look for the nearest points of every lane: where they are predicted, or its curve.
-
-    Lanes of the same numbers share their curve.
-    """
-    starts: list[Any] = [None] * len(values)
-    for k, kept in enumerate(known):
-        ahead = None if kept is None else kept.ahead(values[k], misfit.scale)
-        starts[k] = ahead
-    far = np.array([k for k, start in enumerate(starts) if start is None], int)
-    if len(far):
-        _, first, same = np.unique(values[far], axis=0, return_index=True, return_inverse=True)
-        curves = misfit.curves(take(paths, far[first]))
-        for k, curve in zip(far, same.ravel(), strict=True):
-            starts[k] = curves[curve]
-    return starts
+def _curves(
+    misfit: CurveMisfit, paths: FrequencyPath, values: np.ndarray, wanted: Sequence[bool]
+) -> dict[int, Curve]:
+    """Follow the curves of some lanes; those of the same numbers share theirs."""
+    lanes = np.flatnonzero(wanted)
+    if not len(lanes):
+        return {}
+    _, first, same = np.unique(values[lanes], axis=0, return_index=True, return_inverse=True)
+    curves = misfit.curves(take(paths, lanes[first]))
+    return {int(k): curves[one] for k, one in zip(lanes, same.ravel(), strict=True)}

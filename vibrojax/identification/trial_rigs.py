@@ -22,8 +22,8 @@ from vibrojax.steady.condensed import balance, condensed_problem
 from vibrojax.steady.paths import FrequencyPath, Place
 
 SAMPLES = 128
-WIDTHS = (1, 8)
-"""Rigs that are followed side by side in one loop."""
+WIDTHS = (8,)
+"""Rigs that are made side by side."""
 
 
 class Curve(NamedTuple):
