@@ -111,7 +111,7 @@ experiment says how that was found.
 
 def page() -> str:
     """Return the page as Markdown."""
-    parts = [HEAD, *_in_short(), *_papers(), *_references(), *_programs()]
+    parts = [HEAD, *_in_short(), *_papers(), *_references(), *_programs(), *_measured()]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
@@ -356,3 +356,25 @@ def _programs():
         _command("python experiments/identification/run.py --only coverage"),
     ]
     return parts
+
+
+def _measured():
+    found = _json("stuttgart_rig/results.json")["frequencies_Hz"]
+    rows = [
+        {
+            "beam": side,
+            "measured (Hz)": f"{hertz:.2f}",
+            "computed (Hz)": f"{computed:.2f}",
+            "off": f"{100 * (computed / hertz - 1):+.1f} %",
+        }
+        for side in ("left", "right")
+        for hertz, computed in zip(found["measured"][side], found["source"][side], strict=True)
+    ]
+    return [
+        "## Rigs that were measured",
+        "### Natural frequencies of two cantilevers, Woiwode and Krack 2024",
+        "Elements in sections, with the factors on stiffnesses that the source found by trial. "
+        "[The experiment](../experiments/stuttgart_rig/README.md)",
+        _table(rows),
+        _command("python experiments/stuttgart_rig/run.py"),
+    ]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from test_cli import RIG, run
 
 import vibrojax as vj
@@ -140,6 +141,19 @@ def test_what_is_ambiguous_is_asked_about_in_options(capsys, asked):
     assert "Give --decimal '.' or --decimal ','." in capsys.readouterr().err
     assert run("fit", "doubt.csv", "--decimal", ".") == 0
     np.testing.assert_allclose(asked["measured"].amplitude, [1250, 2500, 1250])
+    runs = "up: ratio,up: peak_ratio,down: ratio,down: peak_ratio"
+    Path("runs.csv").write_text(f"{runs}\n0.9,1,0.9,2\n1.0,3,1.0,4\n1.1,1,1.1,2\n")
+    assert run("fit", "runs.csv") == 2
+    assert (
+        "holds 2 curves, 'runs, up', 'runs, down': say which by --run." in capsys.readouterr().err
+    )
+    assert run("fit", "runs.csv", "--run", "down") == 0
+    np.testing.assert_allclose(asked["measured"].amplitude, [2, 4, 2])
+    one = {"ratio": np.array([0.9, 1.0, 1.1]), "peak_ratio": np.array([1.0, 3.0, 1.0])}
+    scipy.io.savemat("two.mat", {"bench": {"a": one, "b": one}})
+    assert run("fit", "two.mat") == 2
+    assert "Say which: --at 'bench.a'." in capsys.readouterr().err
+    assert run("fit", "two.mat", "--at", "bench.b") == 0
     assert run("fit", str(Path.cwd())) == 2
     assert "is a folder: give the path of a file" in capsys.readouterr().err
 
@@ -161,6 +175,17 @@ def test_the_function_takes_what_is_fitted():
     assert (stop.law.stiffness, stop.gap, made.beam.taper) == (1.0, 2.0, 0.3)
     assert (made.damping_ratio, made.drive.amplitude) == (0.4, 5.0)
     assert (stop.law.damping, made.beam.length) == (5e-5, 0.2)
+
+
+def test_the_text_of_the_function(folder):
+    for rig in (None, Path("rig.toml")):
+        text, files = cli_fit.source_of_rig(rig, ["stiffness", "gap"])
+        names = {"vibrojax": vj, "HERE": folder}
+        exec(text, names)
+        system = vj.default_rig() if rig is None else vj.io.read_rig(rig)[0]
+        wanted = cli_fit.rig_function(system, ["stiffness", "gap"])
+        assert repr(names["rig"](stiffness=3.0)) == repr(wanted(stiffness=3.0))
+        assert files == ({} if rig is None else {"rig.toml": RIG})
 
 
 def test_every_number_can_be_changed():
@@ -200,6 +225,8 @@ def test_the_other_stops_stay():
         (["--rig", "nothing.toml"], "Rig file 'nothing.toml' does not exist"),
         (["--output", "fit.txt"], "--output must be a name without ending"),
         (["--output", "no/fit"], "--output: the folder 'no' does not exist"),
+        (["--report", "no/report.html"], "--report: the folder 'no' does not exist"),
+        (["--report", "report.pdf"], "--report must end in .html or .htm, got 'report.pdf'"),
     ],
 )
 def test_wrong_options(folder, capsys, asked, options, sentence):
@@ -266,6 +293,7 @@ def test_as_a_process(folder):
         "rig.toml",
     ]
     options = ["--guess", "stiffness=3500", "damping=1e-4", "--output", "found"]
+    options += ["--report", "report.html"]
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     report = json.loads(Path("found.json").read_text())
@@ -274,3 +302,6 @@ def test_as_a_process(folder):
     assert 0.5 < report["reduced_chi_square"] < 2.0
     assert f"stiffness  {report['parameters']['stiffness']['estimate']:.5g}" in done.stdout
     assert Path("found.png").read_bytes()[:4] == b"\x89PNG"
+    page = Path("report.html").read_text("utf-8")
+    assert "rig = rig_function(vibrojax.io.read_rig(" in page
+    assert "It does not run as it is" not in page

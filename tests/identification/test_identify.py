@@ -1,7 +1,11 @@
 """Identification from measured curves: recovery, uncertainty, and what it says of poor data."""
 
+import base64
+import io
 import json
 import re
+import runpy
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +86,18 @@ def test_recovers_the_stiffness_and_bounds_the_damping(fit):
     assert 5e-5 < fit.interval["damping"][1] <= 1.0
     assert 0.6 < fit.reduced_chi_square < 1.3
     assert fit.warnings == ()
+
+
+@pytest.mark.slow
+def test_the_script_of_a_report_finds_the_same_numbers(fit, tmp_path):
+    fit.report(tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text("utf-8")
+    archive = re.search(r'data:application/zip;base64,([^"]+)', page)
+    assert archive is not None
+    zipfile.ZipFile(io.BytesIO(base64.b64decode(archive[1]))).extractall(tmp_path)
+    again = runpy.run_path(str(tmp_path / "run_again.py"))["fit"]
+    assert again.estimate == pytest.approx(fit.estimate, rel=1e-9)
+    assert again.interval["stiffness"] == pytest.approx(fit.interval["stiffness"], rel=1e-9)
 
 
 @pytest.mark.slow

@@ -536,6 +536,7 @@ def add_methods():
         for method in names.split():
             CALLS[f"{owner.split('.')[0]}.{method}"] = getattr(result, method), {}
     CALLS["Identification.profile"] = fit.profile, dict(name="stiffness")
+    CALLS["Identification.report"] = fit.report, dict(path="report.html")
     CALLS["Identification.what_next"] = fit.what_next, dict(name="stiffness", gap=5e-4)
     CALLS["Basins.name_of"] = basins.name_of, dict(attractor=0)
     CALLS["Regimes.fraction"] = regimes.fraction, dict(kind="chaotic")

@@ -174,6 +174,7 @@ COMMAND_ONLY = {
     "summary",
     "output",
     "picture",
+    "report",
     "quiet",
     "curve",
     "fit",

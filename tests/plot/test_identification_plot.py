@@ -59,6 +59,7 @@ def fitted(measured=None, predictions=None, **changed):
         "repetition": 0,
         "frequency_scale": 1e-3,
         "point": np.zeros(2),
+        "call": {},
     }
     return Identification(**(fields | changed))
 
@@ -208,14 +209,21 @@ def test_a_history_among_others():
     residual = np.r_[np.full(count, 1.0), np.full(count, -1.0)]
     fit = fitted((curve(), history), (prediction(curve()), fitted_data(history, residual)))
     figure = fit.plot(1)
-    first, second, _ = figure.axes
+    first, below, second, last, _ = figure.axes
     assert first.get_title(loc="left") == "measurement 2 of 2"
-    assert first.get_ylabel().startswith("Displacement\n")
-    assert second.get_ylabel().startswith("Contact force\n")
-    assert second.get_xlabel() == "Time (s)"
-    assert set(first.lines[0].get_ydata()) == {1.0}
-    assert set(second.lines[0].get_ydata()) == {-1.0}
-    assert second.lines[0].get_xdata()[0] >= 0.5
+    assert first.get_ylabel() == "Displacement\n(m)"
+    assert second.get_ylabel() == "Contact force\n(N)"
+    assert last.get_xlabel() == "Time (s)"
+    assert set(below.lines[0].get_ydata()) == {1.0}
+    assert set(last.lines[0].get_ydata()) == {-1.0}
+    assert last.lines[0].get_xdata()[0] >= 0.5
+    # A residual is measured less fitted, over the deviation.
+    inside = time >= 0.5
+    for axes, signal, r in ((first, np.sin(time), 1.0), (second, np.cos(time), -1.0)):
+        measured, fitted_line = (line.get_ydata() for line in axes.lines)
+        deviation = history.noise().deviation["displacement" if r > 0 else "contact_force"]
+        assert measured == pytest.approx(signal[inside])
+        assert measured - fitted_line == pytest.approx(np.full(count, r * deviation))
 
 
 @pytest.mark.parametrize("measurement", [1, -1])

@@ -36,7 +36,7 @@ def result(values=200_000):
     """As much of a result as its `save` asks for."""
     return SimpleNamespace(
         to_xarray=lambda: xarray.Dataset({"a": ("x", np.random.default_rng(0).random(values))}),
-        report=lambda: {"numbers": list(range(values))},
+        to_dict=lambda: {"numbers": list(range(values))},
         plot=Figure,
         figure=lambda *frequency, **numbers: Figure(),
     )
@@ -61,7 +61,7 @@ def test_a_file_is_written_whole(tmp_path, name):
         with xarray.open_dataset(path, engine="h5netcdf") as read:
             assert read.identical(result().to_xarray())
     elif path.suffix == ".json":
-        assert json.loads(path.read_text()) == result().report()
+        assert json.loads(path.read_text()) == result().to_dict()
     assert all(file.stat().st_mode & 0o777 == 0o666 & ~umask() for file in files)
 
 

@@ -5,6 +5,7 @@ import inspect
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ _BOUNDS = {
 
 
 def run_fit(options: Fit) -> int:
-    """Fit numbers of a rig, write report and picture. Raises `ValueError` for wrong input."""
+    """Fit numbers of a rig, write files of what was found. Raises `ValueError` for wrong input."""
     started = time.perf_counter()
     output, fit = options.output, options.fit
     if output.suffix.lower() not in ("", ".json", ".png"):
@@ -52,7 +53,9 @@ def run_fit(options: Fit) -> int:
     data, drawing = output.with_suffix(".json"), output.with_suffix(".png")
     target("--output", data, (".json",))
     target("--output", drawing, (".png",))
+    page = target("--report", options.report, (".html", ".htm"))
     from vibrojax.identification.identify import identify
+    from vibrojax.identification.report import write_report
 
     if not fit or len(set(fit)) < len(fit):
         raise ValueError("--fit must name at least one number, and each of them once.")
@@ -66,11 +69,26 @@ def run_fit(options: Fit) -> int:
     found = stoppable(identify, make, measured, *numbers, **how)
     fitted = time.perf_counter()
     found.save(data)
+    if page is not None:
+        write_report(found, page, *source_of_rig(options.rig, fit))
     print(f"{title('Fit', options.rig)} to {options.curve}")
     print("\n".join(f"  {line}" for line in repr(found).splitlines()))
     print(f"  time     {fitted - started:.1f} s (compiling {compiling():.1f} s)")
-    print(f"  written  {data}, {drawing}")
+    written = [data, drawing] if page is None else [data, drawing, page]
+    print(f"  written  {', '.join(map(str, written))}")
     return 0
+
+
+def source_of_rig(rig: Path | None, names: Sequence[str]) -> tuple[str, dict[str, str]]:
+    """Return Python text that makes the function of a rig file again, and the files it reads."""
+    system, files = "vibrojax.default_rig()", {}
+    if rig is not None:
+        system, files = (
+            "vibrojax.io.read_rig(HERE / 'rig.toml')[0]",
+            {"rig.toml": rig.read_text("utf-8")},
+        )
+    text = f"from {__name__} import rig_function\n\nrig = rig_function({system}, {[*names]})"
+    return text, files
 
 
 def rig_numbers(system: ImpactingBeam) -> dict[str, float]:
@@ -202,14 +220,17 @@ def columns_of(texts: Sequence[str], example: str) -> dict[str, str | int | None
 def read_curve(options: Fit) -> MeasuredCurve:
     """Read the curve to fit. Raises `ValueError` as `read_measured_curve` does."""
     columns = columns_of(options.columns, "frequency=f_Hz")
-    how = {name: getattr(options, name) for name in ("quantity", "frame", "decimal")}
+    how = {name: getattr(options, name) for name in ("quantity", "frame", "decimal", "at", "run")}
     units = pairs("--units", options.units, "amplitude=mm")
     try:
         found = read_measured_curve(options.curve, columns=columns, units=units, **how)
     except ValueError as error:
         raise ValueError(as_options(str(error))) from None
     if not isinstance(found, MeasuredCurve):
-        raise ValueError(f"{str(options.curve)!r} holds {len(found)} curves: give a file of one.")
+        names = ", ".join(repr(curve.label) for curve in found)
+        raise ValueError(
+            f"{str(options.curve)!r} holds {len(found)} curves, {names}: say which by --run."
+        )
     return found
 
 
@@ -220,4 +241,4 @@ def as_options(advice: str) -> str:
         lambda m: f"--{m[1]} {m[2]}={'none' if m[3] == 'None' else m[3]}",
         advice,
     )
-    return re.sub(r"\b(decimal|quantity|frame)=", r"--\1 ", advice)
+    return re.sub(r"\b(decimal|quantity|frame|at|run)=", r"--\1 ", advice)

@@ -92,8 +92,9 @@ class Simulate:
     """
 
     rig: _Rig = None
-    # measured drive: text with a header (.csv, .txt) or NetCDF, columns like time [s],
-    # acceleration [m/s2], or force [N] where a force drives the rig; straight between samples
+    # measured drive: text with a header (.csv, .txt), Excel, MAT, HDF5, NetCDF, TDMS, UFF; columns
+    # like time [s], acceleration [m/s2], or force [N] where a force drives the rig; straight
+    # between samples
     drive: Annotated[Path | None, _said("RECORD.csv", "none")] = None
     # frequency of a harmonic drive instead, Hz
     frequency: Annotated[float | None, _said("HERTZ", "none")] = None
@@ -117,6 +118,10 @@ class Simulate:
     columns: Annotated[_Texts, _said("NAME=COLUMN ...", "recognised by their names")] = ()
     # units where its header has none, as time=ms acceleration=g
     units: Annotated[_Texts, _said("NAME=UNIT ...", "those of the header")] = ()
+    # where in a file of several tables: sheet, path of a struct or group, number of a record
+    at: Annotated[str | None, _said("PLACE", "the only one")] = None
+    # which run of a table that has several side by side
+    run: Annotated[str | None, _said("NAME", "the only one")] = None
     # decimal sign of the record
     decimal: Annotated[
         Literal[".", ","] | None, _said("{.,,}", "read off its numbers, if they can")
@@ -222,10 +227,12 @@ class Fit:
     Try:
     $ vibrojax fit curve.csv --rig rig.toml
     $ vibrojax fit curve.csv --rig rig.toml --fit stiffness gap --guess stiffness=3000
+    $ vibrojax fit curve.csv --rig rig.toml --report report.html
     $ vibrojax fit curve.csv --columns frequency=f amplitude=tip --units frequency=Hz amplitude=mm
     """
 
-    # measured frequency response: text with a header (.csv, .txt) or NetCDF
+    # measured frequency response: text with a header (.csv, .txt), Excel, MAT, HDF5, NetCDF, TDMS,
+    # UFF
     curve: Annotated[
         Path,
         tyro.conf.Positional,
@@ -251,6 +258,10 @@ class Fit:
     columns: Annotated[_Texts, _said("NAME=COLUMN ...", "recognised by their names")] = ()
     # units where the header has none, as frequency=Hz amplitude=mm (or ratio)
     units: Annotated[_Texts, _said("NAME=UNIT ...", "those of the header")] = ()
+    # where in a file of several tables: sheet, path of a struct or group, number of a record
+    at: Annotated[str | None, _said("PLACE", "the only one")] = None
+    # which run of a table that has several side by side
+    run: Annotated[str | None, _said("NAME", "the only one")] = None
     # decimal sign of the file
     decimal: Annotated[
         Literal[".", ","] | None, _said("{.,,}", "read off its numbers, if they can")
@@ -267,8 +278,10 @@ class Fit:
     frame: Annotated[
         Literal["relative", "absolute"] | None, _said("{relative,absolute}", "relative")
     ] = None
-    # name of the report (.json) and the picture (.png)
+    # name of the numbers (.json) and the picture (.png)
     output: Annotated[Path, _said("FILE", "fit")] = Path("fit")
+    # page for a colleague, with the data and a script that repeats the fit (.html)
+    report: Annotated[Path | None, _said("FILE", "not written")] = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -66,6 +66,8 @@ class Fit:
     """Scale of frequency differences, as a share of the first natural frequency."""
     point: np.ndarray
     """The estimate in the coordinates of the search."""
+    call: dict[str, Any]
+    """What `identify` was asked for besides the function and the data, by argument."""
 
     @property
     def names(self) -> tuple[str, ...]:

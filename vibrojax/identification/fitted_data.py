@@ -8,7 +8,7 @@ from vibrojax.identification.as_measured import order_of
 from vibrojax.identification.sensor import wrapped
 from vibrojax.identification.trial_rigs import Curve
 from vibrojax.measured.curve import MeasuredCurve
-from vibrojax.measured.history import MeasuredHistory
+from vibrojax.measured.history import CHANNELS, MeasuredHistory
 from vibrojax.measured.kinds import DRIVES
 from vibrojax.results.variables import described_as
 
@@ -60,7 +60,13 @@ def fitted_data(
     if isinstance(measured, MeasuredHistory):
         seen = measured.observations()
         put("measured_time", "point", measured.time[seen.sample], "Time", "s")
-        put("channel", "point", np.array(list(measured.channels))[seen.channel], "Channel measured")
+        names = np.array(list(measured.channels))[seen.channel]
+        put("channel", "point", names, "Channel measured")
+        deviation = measured.noise().deviation
+        shown = seen.value - residual * np.array([deviation[name] for name in names])
+        put("unit", "point", [CHANNELS[name] for name in names], "Unit of the signals")
+        put("measured_value", "point", seen.value, "Signal measured", "by channel")
+        put("fitted_value", "point", shown, "Signal fitted, as the sensor shows it", "by channel")
         return xarray.Dataset(data)
     assert curve is not None
     if measured.drive_amplitude is not None:

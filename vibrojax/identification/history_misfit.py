@@ -56,6 +56,9 @@ class Trial(NamedTuple):
 
     residual: np.ndarray
     derivative: np.ndarray
+    """With the shift as it is."""
+    followed: np.ndarray
+    """What of it a shift that follows the numbers makes up for."""
     cost: np.ndarray
     closed: np.ndarray
     stable: np.ndarray
@@ -94,6 +97,7 @@ def _tried(data: Data, passed: Passed, rigs: Rig, state, shift, names: int, plan
         stable = np.max(np.abs(np.linalg.eigvals(monodromy)), axis=1) < 1 + 1e-6
     derivative = -data.standardised(numbers)
     step = change = np.zeros(lanes)
+    followed = np.zeros_like(derivative)
     if plan.aligned:
         along = -data.standardised(along)
         square = np.sum(along**2, axis=1)
@@ -103,28 +107,11 @@ def _tried(data: Data, passed: Passed, rigs: Rig, state, shift, names: int, plan
         change = np.abs(step) * np.sqrt(square / count)
         # The shift follows the numbers: what it can make up for is no misfit.
         share = np.einsum("ls,lsn->ln", along, derivative) / square[:, None]
-        derivative = derivative - along[:, :, None] * share[:, None, :]
+        followed = along[:, :, None] * share[:, None, :]
     cost = np.sum(residual**2, axis=1)
-    return Trial(residual, derivative, cost, closed, stable, shift, step, change, following)
-
-
-def _misfit_of_shifts(data: Data, lane: int, signals, grid, delays, shifts, wraps: bool):
-    """Sum of squares for every shift (cells of the grid) of signals (channels, cells).
-
-    `grid` is the cells in a second; far samples are left out where there are many.
-    """
-    cells = signals.shape[1]
-    total = np.zeros(len(shifts))
-    for k, signal in enumerate(signals):
-        time, values, deviation = data.of_channel(lane, k)
-        keep = slice(None, None, max(1, len(time) // 1000))
-        at = (time[None, keep] - delays[k]) * grid + shifts[:, None]
-        at = np.mod(at, cells) if wraps else np.clip(at, 0, cells - 1)
-        low = np.minimum(np.floor(at).astype(int), cells - 1)
-        high = (low + 1) % cells if wraps else np.minimum(low + 1, cells - 1)
-        seen = signal[low] + (at - low) * (signal[high] - signal[low])
-        total += np.sum(((values[keep] - seen) / deviation[keep]) ** 2, axis=1)
-    return np.where(np.isfinite(total), total, np.inf)
+    return Trial(
+        residual, derivative, followed, cost, closed, stable, shift, step, change, following
+    )
 
 
 class HistoryMisfit:
@@ -170,6 +157,7 @@ class HistoryMisfit:
         )
         self.anywhere = bool(set(own) & set(BEGINNING)) or first.release is None
         """Whether a motion without a drive may begin anywhere in the record."""
+        self.sharp = [k for k, c in enumerate(channels) if c in ("contact_force", "acceleration")]
         self.shifts = np.zeros(0)
         """Shifts of the lanes last computed (model time less measured time), s."""
 
@@ -180,23 +168,26 @@ class HistoryMisfit:
         frequency_scale: float,
         *,
         precisely: bool = False,
+        shifts: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals of all rigs (lanes by `size`) and their derivatives in the numbers.
 
         `values` has lanes by numbers, `which` the repetition that every lane is compared with;
         `frequency_scale` is not used. `precisely` goes on with shifts that would move only a
-        little more. A lane whose motion fails has residuals `LOST` and no derivative.
+        little more; `shifts` (lanes, 2) are limits of them, s. A lane whose motion fails has
+        residuals `LOST` and no derivative.
         """
         values, which = np.asarray(values, float), np.asarray(which, int)
         residual = np.full((len(values), self.size), LOST)
         derivative = np.zeros((len(values), self.size, len(self.maker.names)))
         self.shifts = np.full(len(values), np.nan)
+        limits = np.tile([-np.inf, np.inf], (len(values), 1)) if shifts is None else shifts
         sound = np.flatnonzero(np.isfinite(values).all(axis=1))
         for k in range(0, len(sound), WIDTH):
             own = sound[k : k + WIDTH]
             index = own[filled_up(len(own), WIDTH)]
             with np.errstate(all="ignore"):
-                best, good = self._evaluate(values[index], which[index], precisely)
+                best, good = self._evaluate(values[index], which[index], precisely, limits[index])
             good = good[: len(own)]
             kept, count = own[good], np.flatnonzero(good)
             residual[kept] = best.residual[count, : self.size]
@@ -204,7 +195,27 @@ class HistoryMisfit:
             self.shifts[kept] = best.shift[count]
         return residual, derivative
 
-    def _evaluate(self, values, which, precisely) -> tuple[Trial, np.ndarray]:
+    @property
+    def can_hop(self) -> bool:
+        """Whether the shift is sought, of a motion whose force may set in with a jump."""
+        return self.plan.aligned and self.plan.begins == "start" and bool(self.sharp)
+
+    def beside(self, repetition: int, shift: float) -> list[tuple[float, float]]:
+        """Return limits of the shift with which the motion begins one sample sooner, or later.
+
+        The misfit jumps whenever a sample passes a jump of the force.
+        """
+        if not self.can_hop:
+            return []
+        time, _, _ = self.data.of_channel(repetition, self.sharp[0])
+        place, found = int(np.searchsorted(time, -shift)), []
+        for low in (place - 2, place):
+            if 0 <= low < len(time) - 1:
+                off = 1e-6 * (time[low + 1] - time[low])
+                found.append((off - time[low + 1], -off - time[low]))
+        return found
+
+    def _evaluate(self, values, which, precisely, limits) -> tuple[Trial, np.ndarray]:
         trials = self.maker.trials(
             rig_of,
             self.plan,
@@ -219,9 +230,9 @@ class HistoryMisfit:
             state, period, shift, cell = self._steady(trials.made, rigs, data)
         else:
             state, period = rigs.start, np.ones(len(values), np.int32)
-            shift, cell = self._begun(trials.made, rigs, data)
+            shift, cell = self._begun(trials.made, rigs, data, limits)
         enough = 1e-7 if precisely else 1e-3
-        best = self._refined(trials, rigs, data, state, period, shift, 2 * cell, enough)
+        best = self._refined(trials, rigs, data, state, period, shift, limits, 2 * cell, enough)
         if self.plan.begins == "settled":
             length = period * 2 * np.pi / rigs.angular_frequency
             best = best._replace(shift=best.shift - np.round(best.shift / length) * length)
@@ -243,7 +254,7 @@ class HistoryMisfit:
                 turns = np.arange(periods[start, k])
                 shifts = np.arange(GRID) if self.plan.aligned else turns * GRID / len(turns)
                 grid, delays = GRID / length[k], rigs.sensors.delay[k]
-                costs = _misfit_of_shifts(data, k, signals[k], grid, delays, shifts, True)
+                costs = data.misfit_of_shifts(k, signals[k], grid, delays, shifts, True)
                 place = int(np.argmin(costs))
                 if costs[place] < best[k]:
                     best[k], period[k] = costs[place], len(turns)
@@ -253,7 +264,9 @@ class HistoryMisfit:
                     shift[k] = shifts[place] / GRID * length[k] if self.plan.aligned else 0.0
         return state, period, shift, period * one / GRID
 
-    def _begun(self, made: Rig, rigs: Rig, data: Data) -> tuple[np.ndarray, np.ndarray]:
+    def _begun(
+        self, made: Rig, rigs: Rig, data: Data, limits: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """First shift (s) and its grain of motions that have a beginning."""
         lanes = len(rigs.angular_frequency)
         if not self.plan.aligned:
@@ -271,13 +284,17 @@ class HistoryMisfit:
             most = int(reach[k] / cell[k])
             shifts = np.arange(-most, most + 1)
             delays = rigs.sensors.delay[k]
-            costs = _misfit_of_shifts(data, k, signals[k], 1 / cell[k], delays, shifts, False)
-            shift[k] = shifts[int(np.argmin(costs))] * cell[k]
+            costs = data.misfit_of_shifts(k, signals[k], 1 / cell[k], delays, shifts, False)
+            low, high = limits[k]
+            allowed = (shifts * cell[k] >= low) & (shifts * cell[k] <= high)
+            best = shifts[int(np.argmin(np.where(allowed, costs, np.inf)))] * cell[k]
+            shift[k] = best if allowed.any() else (low + high) / 2
         return shift, cell
 
-    def _refined(self, trials, rigs, data, state, period, shift, longest, enough) -> Trial:
+    def _refined(self, trials, rigs, data, state, period, shift, shifts, longest, enough) -> Trial:
         """Close the motions and find their shifts, all lanes together."""
         best, step = None, np.zeros(len(shift))
+        pinned = np.zeros(len(shift), bool)
         for _ in range(MOST_ROUNDS):
             passed = jax.device_get(
                 pass_through(trials.made, trials.slopes, self.plan, data.seen, state, shift, period)
@@ -296,13 +313,18 @@ class HistoryMisfit:
             whole &= np.isfinite(best.step)
             # A step that went too far is tried again, shorter.
             step = np.where(better, np.clip(best.step, -longest, longest), step / 4)
+            step = np.clip(best.shift + step, *shifts.T) - best.shift
+            pinned = ~better | (step == 0)
             if np.all(~whole | (best.closed & ((best.change <= enough) | (step == 0)))):
                 break
             step = np.where(whole, step, 0.0)
             state = np.where(whole[:, None], best.following, state)
             shift = np.where(whole, best.shift + step, shift)
         assert best is not None
-        return best
+        # Where a sample would pass a jump of the force, the shift stays before it.
+        pinned &= best.change > enough
+        followed = np.where(pinned[:, None, None], 0.0, best.followed)
+        return best._replace(derivative=best.derivative - followed)
 
 
 def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractSystem) -> Plan:

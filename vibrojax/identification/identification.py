@@ -146,8 +146,8 @@ class Identification(Fit):
             "jax_version": version("jax"),
         }
 
-    def report(self) -> dict[str, Any]:
-        """Return everything a report needs, in plain types."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything that was found, in plain types."""
         return {
             "parameters": {
                 n: {
@@ -176,18 +176,38 @@ class Identification(Fit):
         }
 
     @validated
+    def report(self, path: str | Path, *, source: str | None = None) -> None:
+        """Write one page of HTML that says all of the fit: to read, to print, and to run again.
+
+        It holds the data, the pictures, and as a zip archive a Python script with its data that
+        repeats the fit; nothing is fetched. The script has the text of the function of the rig and
+        of what it uses, as far as Python can tell it, and is tried; the page says what is missing.
+
+        Parameters:
+            path: of the page, such as `report.html`; what is there is replaced.
+            source: Python text that defines `rig`, the function of the rig, with its imports, where
+                it cannot be read off the function (a lambda, or a session that keeps no text).
+
+        Raises `ValueError` for a path that is not of a page, or cannot be a file's, and a `source`
+        that does not make the rig that was fitted; `OSError` where writing fails.
+        """
+        from vibrojax.identification.report import write_report
+
+        write_report(self, path, source)
+
+    @validated
     def save(self, path: str | Path) -> tuple[Path, Path]:
-        """Write the report as JSON and the picture as PNG beside it; returns both paths.
+        """Write what was found as JSON and the picture as PNG beside it; returns both paths.
 
         `path` is that of either file; its ending is exchanged. Both take their places, or none.
         Raises `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
         """
         path = path_of("path", path)
         data, picture = path.with_suffix(".json"), path.with_suffix(".png")
-        with whole_files(data, picture) as (report, drawing):
-            assert report is not None
+        with whole_files(data, picture) as (numbers, drawing):
+            assert numbers is not None
             assert drawing is not None
-            report.write_text(json.dumps(self.report(), indent=2) + "\n")
+            numbers.write_text(json.dumps(self.to_dict(), indent=2) + "\n")
             self.plot().savefig(drawing, format="png")
         return data, picture
 

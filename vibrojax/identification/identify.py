@@ -5,17 +5,16 @@ from typing import Any, Literal, overload
 
 import jax.numpy as jnp
 import numpy as np
-import scipy
 
 from vibrojax._tools.checks import check_count, check_range
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.tracing import free_motion
 from vibrojax.ensemble.ranges import Range
-from vibrojax.identification.coordinates import Coordinate
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.findings import early_jumps, misfit, modes_left_out, used
 from vibrojax.identification.fit import Alternative
 from vibrojax.identification.fitted_data import fitted_data
+from vibrojax.identification.history_misfit import HistoryMisfit
 from vibrojax.identification.identification import Identification
 from vibrojax.identification.least_squares import LevenbergMarquardt, Optax, Search
 from vibrojax.identification.problem import (
@@ -25,6 +24,7 @@ from vibrojax.identification.problem import (
     measurements_of,
     repetitions_of,
 )
+from vibrojax.identification.searching import restarts, spread_starts
 from vibrojax.identification.trial_rigs import SAMPLES, driven
 from vibrojax.identification.uncertainty import influence, uncertainty
 from vibrojax.measured.curve import MeasuredCurve
@@ -42,8 +42,8 @@ POOR = 2.0
 """Reduced chi-square above which searches start elsewhere too."""
 FARTHEST = 9.0
 """Farthest that a search goes from the guess in a coordinate: a factor of 8000 in log."""
-FACTORS = (0.1, 0.3, 3.0, 10.0)
-"""By which the stiffness is multiplied where a search ended with a poor fit."""
+MOST_HOPS, HOP = 4, 0.1
+"""How often histories may begin another sample sooner or later, and what that has to gain."""
 APART = 3.0
 """Distance between alternatives, in standard deviations."""
 
@@ -156,7 +156,11 @@ def identify(
     problem = Problem(make_system, data, coordinates, objective, held)
     fits = _Fits(problem, data, search or LevenbergMarquardt(), frequency_scales)
     fits.run(searches)
-    found = [fits.result(k, confidence) for k in range(len(data))]
+    call = {"guess": dict(guess), "bounds": bounds, "private": tuple(private)}
+    call |= {"objective": objective, "search": search, "transforms": transforms}
+    call |= {"searches": searches, "frequency_scales": frequency_scales}
+    call |= {"confidence": confidence, **numbers}
+    found = [fits.result(k, call) for k in range(len(data))]
     return found[0] if together else found
 
 
@@ -196,6 +200,31 @@ class _Fits:
         if poor:
             again = [restarts(begin[k], problem.coordinates) for k in poor]
             self._search(np.concatenate(again), np.repeat(poor, [len(a) for a in again]))
+        self._hop()
+
+    def _hop(self) -> None:
+        """Let motions of histories begin a sample sooner or later, as long as that is better."""
+        models = [
+            (k, model)
+            for k, model in enumerate(self.problem.misfits)
+            if isinstance(model, HistoryMisfit)
+        ]
+        for _ in range(MOST_HOPS if any(model.can_hop for _, model in models) else 0):
+            points, which, held = [], [], []
+            for k in range(len(self.data)):
+                point, _ = self._best(k)
+                self.problem.evaluate(point[None], np.array([k]), self.last)
+                for m, model in models:
+                    for limits in model.beside(k, model.shifts[0]):
+                        points.append(point)
+                        which.append(k)
+                        held.append((m, limits))
+            if not points:
+                return
+            before = [self._best(k)[1] for k in range(len(self.data))]
+            self._search(np.array(points), np.array(which), STAGES[-1:], held)
+            if all(self._best(k)[1] > b - HOP for k, b in enumerate(before)):
+                return
 
     def _best(self, k: int) -> tuple[np.ndarray, float]:
         return min(self.ended[k], key=lambda end: end[1])
@@ -236,15 +265,26 @@ class _Fits:
             )
         return point
 
-    def _search(self, points: np.ndarray, which: np.ndarray) -> None:
+    def _search(
+        self,
+        points: np.ndarray,
+        which: np.ndarray,
+        stages: Sequence[tuple[float, float]] = STAGES,
+        held: Sequence[tuple[int, tuple[float, float]]] = (),
+    ) -> None:
+        """Search from some points; `held`: a measurement and limits of its shift, by lane."""
         low, high = self.problem.limits
         middle, cost = self.problem.guess, np.zeros(0)
         low, high = np.maximum(low, middle - FARTHEST), np.minimum(high, middle + FARTHEST)
-        for share, tolerance in STAGES:
+        shifts = {
+            m: np.array([own if n == m else (-np.inf, np.inf) for n, own in held]) for m, _ in held
+        }
+        for share, tolerance in stages:
             scale = self.first ** (1 - share) * self.last**share
 
             def evaluate(points, lanes, scale=scale):
-                return self.problem.evaluate(points, which[lanes], scale)
+                own = {m: limits[lanes] for m, limits in shifts.items()}
+                return self.problem.evaluate(points, which[lanes], scale, shifts=own)
 
             found = self.search(evaluate, points, low, high, tolerance)
             points, cost = found.point, found.cost
@@ -252,8 +292,9 @@ class _Fits:
         for k, point, size in zip(which, points, cost, strict=True):
             self.ended[k].append((point, float(size)))
 
-    def result(self, k: int, confidence: float) -> Identification:
-        """Judge the best minimum of a repetition."""
+    def result(self, k: int, call: dict[str, Any]) -> Identification:
+        """Judge the best minimum of a repetition; `call` is what `identify` was asked for."""
+        confidence: float = call["confidence"]
         problem, freedom, names = self.problem, self.degrees_of_freedom, self.problem.names
         point, _ = self._best(k)
         (residual,), (jacobian,) = problem.evaluate(
@@ -309,6 +350,7 @@ class _Fits:
             repetition=k,
             frequency_scale=self.last,
             point=point,
+            call=call,
         )
 
     def _alternatives(self, k: int, covariance: np.ndarray) -> tuple[Alternative, ...]:
@@ -349,22 +391,3 @@ def free_stop_amplitude(paths: FrequencyPath, frequency: float) -> float:
     spectrum = np.asarray(free_motion(one, jnp.asarray([frequency]), SAMPLES, 1))
     average = cell_average(SAMPLES, spectrum.shape[-1])[1]
     return float(np.max(np.abs(spectrum[0, :, 1])) * 2 / SAMPLES / average)
-
-
-def restarts(point: np.ndarray, coordinates: tuple[Coordinate, ...]) -> np.ndarray:
-    """Starts around one that ended badly: the stiffness (or what moves in log) multiplied."""
-    moving = [k for k, c in enumerate(coordinates) if c.kind == "log"]
-    stiff = [k for k in moving if "stiffness" in coordinates[k].name] or moving[:1]
-    starts = np.repeat(point[None], len(FACTORS), axis=0)
-    starts[:, stiff] += np.log(FACTORS)[:, None]
-    return starts
-
-
-def spread_starts(point: np.ndarray, coordinates: tuple[Coordinate, ...], count: int) -> np.ndarray:
-    """Starts spread evenly (Halton) within the bounds, or a decade around the guess."""
-    shares = scipy.stats.qmc.Halton(len(point), scramble=False).random(count + 1)[1:]
-    limits = np.array([c.limits for c in coordinates])
-    reach = np.array([np.log(10.0) if c.kind == "log" else 3.0 for c in coordinates])
-    around = np.stack([point - reach, point + reach], axis=1)
-    low, high = np.where(np.isfinite(limits), limits, around).T
-    return low + shares * (high - low)

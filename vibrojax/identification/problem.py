@@ -233,10 +233,16 @@ class Problem:
         self, numbers: Sequence[float] | np.ndarray, k: int, measured: Measurement
     ) -> AbstractSystem:
         """Make the rig of the `k`-th measurement with these numbers (unknowns)."""
+        return made_by(self.make, self.arguments(numbers, k, measured))
+
+    def arguments(
+        self, numbers: Sequence[float] | np.ndarray, k: int, measured: Measurement
+    ) -> dict[str, Any]:
+        """Return the arguments of the function of the rig, for the `k`-th measurement."""
         fitted = {name: float(numbers[i]) for name, i in self.unknowns[k].items()}
         for name in record_numbers_in(self.make, fitted):
             del fitted[name]
-        return made_by(self.make, self.held | measured.parameters | fitted)
+        return self.held | measured.parameters | fitted
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -275,12 +281,17 @@ class Problem:
         frequency_scale: float,
         *,
         precisely: bool = False,
+        shifts: dict[int, np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals and their derivatives in the coordinates; `which`: repetition of each lane."""
+        """Residuals and their derivatives in the coordinates; `which`: repetition of each lane.
+
+        `shifts`: limits (lanes, 2) of those of some histories, by measurement.
+        """
         slopes, residuals, jacobians = self.slopes(points), [], []
         for k, misfit in enumerate(self.misfits):
+            own = {"shifts": shifts[k]} if shifts and k in shifts else {}
             residual, derivative = misfit.residuals(
-                self.of_measurement(k, points), which, frequency_scale, precisely=precisely
+                self.of_measurement(k, points), which, frequency_scale, precisely=precisely, **own
             )
             jacobian = np.zeros((*residual.shape, len(self.coordinates)))
             own = list(self.unknowns[k].values())

@@ -1,8 +1,8 @@
 """Numbers of a record, not of the rig: how its motion begins, and what its sensors do."""
 
 import inspect
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -75,6 +75,25 @@ def first_value(history: MeasuredHistory, name: str) -> float:
             history, "velocity_gain"
         )
     return said or 0.0
+
+
+def with_numbers(history: MeasuredHistory, numbers: Mapping[str, float]) -> MeasuredHistory:
+    """Return the history with these numbers of a record as known."""
+    for name, value in numbers.items():
+        channel, _, part = name.rpartition("_")
+        if part not in OF_SENSORS:
+            history = replace(history, **{name: value})
+        elif channel in history.channels:
+            history = replace(history, **{part: {**getattr(history, part), channel: value}})
+    return history
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a number of records."""
+    channel, _, part = name.rpartition("_")
+    if name in BEGINNING:
+        return CHANNELS[part]
+    return {"gain": "1", "offset": CHANNELS[channel], "delay": "s"}[part]
 
 
 def size_of(history: MeasuredHistory, name: str) -> float:

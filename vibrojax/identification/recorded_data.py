@@ -34,6 +34,24 @@ class Data(NamedTuple):
         time = np.asarray(self.seen.time)[lane, self.seen.sample[lane, own]]
         return time, self.values[lane, own], self.deviation[lane, own]
 
+    def misfit_of_shifts(self, lane: int, signals, grid, delays, shifts, wraps: bool):
+        """Sum of squares for every shift (cells of the grid) of signals (channels, cells).
+
+        `grid` is the cells in a second; far samples are left out where there are many.
+        """
+        cells = signals.shape[1]
+        total = np.zeros(len(shifts))
+        for k, signal in enumerate(signals):
+            time, values, deviation = self.of_channel(lane, k)
+            keep = slice(None, None, max(1, len(time) // 1000))
+            at = (time[None, keep] - delays[k]) * grid + shifts[:, None]
+            at = np.mod(at, cells) if wraps else np.clip(at, 0, cells - 1)
+            low = np.minimum(np.floor(at).astype(int), cells - 1)
+            high = (low + 1) % cells if wraps else np.minimum(low + 1, cells - 1)
+            seen = signal[low] + (at - low) * (signal[high] - signal[low])
+            total += np.sum(((values[keep] - seen) / deviation[keep]) ** 2, axis=1)
+        return np.where(np.isfinite(total), total, np.inf)
+
 
 def data_of(
     repetitions: Sequence[MeasuredHistory], found: Sequence[Observations], delayed: bool

@@ -17,6 +17,7 @@ from vibrojax._tools.checks import (
 from vibrojax._tools.signatures import validated
 from vibrojax.measured.cells import real_channel
 from vibrojax.measured.curve import check_parameters
+from vibrojax.measured.impacts import windows_of_impacts
 from vibrojax.measured.kinds import FRAMES
 from vibrojax.measured.scatter import (
     ASSUMED_LEVEL,
@@ -251,6 +252,39 @@ class MeasuredHistory:
         inside = self._inside()
         parts = {name: values[inside] for name, values in self.channels.items()}
         return dataclasses.replace(self, time=self.time[inside], **parts)
+
+    def impacts(
+        self, threshold: float | None = None, margin: float = 0.5
+    ) -> "list[MeasuredHistory]":
+        """Return one history for each impact in the contact force, with a window around it.
+
+        Labels are numbered from 1. What is shorter than 3 samples counts as a spike.
+
+        Parameters:
+            threshold: force (N), from its median, above which there is contact; None: a tenth of
+                the largest one, and 6 standard deviations of the scatter about the median.
+            margin: how far a window reaches on either side, in lengths of the impact.
+
+        Raises `ValueError` without a contact force, or where there is no impact.
+        """
+        if self.contact_force is None:
+            raise ValueError("impacts are read off the contact_force, which was not measured.")
+        if threshold is not None:
+            check_positive("threshold", threshold, "N")
+        check_range("margin", margin, 0.0, 10.0, allowed="from 0 to 10")
+        part = self.windowed()
+        assert part.contact_force is not None
+        windows = windows_of_impacts(part.time, part.contact_force, threshold, margin)
+        if not windows:
+            raise ValueError(
+                "There is no impact in the contact_force. Give a lower threshold (N), or look "
+                "whether its unit is right."
+            )
+        named = f"{self.label}, " if self.label else ""
+        return [
+            dataclasses.replace(self, window=window, label=f"{named}impact {k}")
+            for k, window in enumerate(windows, 1)
+        ]
 
     def noise(self) -> HistoryNoise:
         """Return the standard deviation of every channel: as given, or estimated from the scatter.

@@ -53,20 +53,28 @@ Line = list[tuple[float, str, dict[str, Any]]]
 """Of text: place (inches from the left), words and style of its parts."""
 
 
-def plot_identification(data: xarray.Dataset, estimates: xarray.Dataset, title: str) -> Figure:
-    """Draw one measurement and the fitted curve, the residuals below it, and the estimates."""
-    text = _written(estimates)
+def plot_identification(
+    data: xarray.Dataset, estimates: xarray.Dataset | None, title: str
+) -> Figure:
+    """Draw one measurement and the fitted curve, the residuals below it, and the estimates.
+
+    Without `estimates` there is no text below.
+    """
+    text = [] if estimates is None else _written(estimates)
     is_curve = "curve_frequency" in data
     names = _channels(data) if is_curve else list(dict.fromkeys(data["channel"].values.tolist()))
     heights = [3.6, *[2.6] * (len(names) - 1), 2.0]
     if not is_curve:
-        heights = [2.0 if len(names) > 1 else 3.2] * len(names)
-    figure, (*panels, below) = new_panels([*heights, LINE * (len(text) + 3)])
-    panels[-1].tick_params(labelbottom=True)
-    below.set_axis_off()
+        heights = [2.4, 1.5] * len(names)
+    if text:
+        figure, (*panels, below) = new_panels([*heights, LINE * (len(text) + 3)])
+        panels[-1].tick_params(labelbottom=True)
+        below.set_axis_off()
+        _write(below, text)
+    else:
+        figure, panels = new_panels(heights)
     (_curve if is_curve else _history)(panels, data, names)
     name_axes(panels[0], title=textwrap.shorten(title, 85, placeholder=" …"))
-    _write(below, text)
     return outside_legend(figure, above=True)
 
 
@@ -133,14 +141,19 @@ def _folds(data: xarray.Dataset) -> list[tuple[str, int]]:
 
 
 def _history(panels: list[Axes], data: xarray.Dataset, names: list[str]) -> None:
-    """Draw the residuals of every channel against time."""
-    line: dict[str, Any] = {"color": COLORS["blue"], "linewidth": 0.9, "markersize": 4}
-    for axes, name in zip(panels, names, strict=True):
-        own = data["channel"].values == name
-        time, residual = data["measured_time"].values[own], data["residual"].values[own]
-        marker = "none" if own.sum() > 200 else "o"
-        axes.plot(time, residual, marker=marker, zorder=3, label="measured less fitted", **line)
-        _residual_axis(axes, f"{name.replace('_', ' ').capitalize()}\n(std. deviations)")
+    """Draw every channel and its residuals against time."""
+    line: dict[str, Any] = {"color": COLORS["blue"], "linewidth": 0.9, "markersize": 4, "zorder": 3}
+    for k, name in enumerate(names):
+        signal, below = panels[2 * k : 2 * k + 2]
+        own = data.isel(point=data["channel"].values == name).sortby("measured_time")
+        time = own["measured_time"].values
+        line["marker"] = "none" if len(time) > 200 else "o"
+        signal.plot(time, own["measured_value"].values, label="measured", **line)
+        signal.plot(time, own["fitted_value"].values, label="fitted", zorder=4, **FITTED)
+        words = name.replace("_", " ").capitalize()
+        name_axes(signal, None, f"{words}\n({own['unit'].values[0]})")
+        below.plot(time, own["residual"].values, **line)
+        _residual_axis(below, "Residual\n(std. deviations)")
     name_axes(panels[-1], label_for(data["measured_time"]))
 
 
