@@ -78,6 +78,10 @@ def test_a_column_of_how_well_the_phase_is_known():
     curve = vj.io.read_measured_curve(table)
     np.testing.assert_allclose(curve.phase_deviation, np.radians(2))
     assert vj.io.read_measured_curve(table, columns=dict(phase=None)).phase_deviation is None
+    del table["phase [deg]"]
+    assert vj.io.read_measured_curve(table).phase_deviation is None
+    table["amplitude [mm]"] = 1e3 * RESPONSE
+    np.testing.assert_allclose(vj.io.read_measured_curve(table).phase_deviation, np.radians(2))
 
 
 def test_how_well_a_phase_is_known():

@@ -27,7 +27,7 @@ def sensor_of(measured: MeasuredCurve) -> Sensor:
 
 
 def order_of(measured: MeasuredCurve) -> int:
-    """Return which derivative of the displacement of the base, or of the force, drive is."""
+    """Return which derivative of the force or the displacement of the base was measured."""
     return ORDERS.get(measured.drive_signal, 0)
 
 

@@ -153,8 +153,6 @@ class CurveColumns:
             self.columns["amplitude"], self.imaginary = parts["real"], parts["imaginary"]
         if "amplitude" not in self.columns and given.get("phase") is None:
             self.columns.pop("phase", None)
-        if "phase" not in self.columns and self.imaginary is None:
-            self.columns.pop("phase_deviation", None)
 
     def _check_found(self, given: Mapping[str, Any]) -> None:
         there = f"Columns there are: {', '.join(map(repr, self.table.columns))}."
@@ -220,8 +218,7 @@ class CurveColumns:
                 )
         self._find_optional_unit("phase", ("angle",), "deg", given)
         self._find_optional_unit("drive", tuple(DRIVES), "N", given)
-        if "phase_deviation" in self.columns:
-            self._find_optional_unit("phase_deviation", ("angle",), "deg", given)
+        self._find_optional_unit("phase_deviation", ("angle",), "deg", given)
         for key, whole in (
             ("deviation", "amplitude"),
             ("contact_force_deviation", "contact_force"),

@@ -281,7 +281,7 @@ class _Reader:
             tuple(notes),
             self.table.lines[rows],
             part.get("phase"),
-            part.get("phase_deviation"),
+            part.get("phase_deviation") if whole or "phase" in part else None,
             part.get("source" if self.own.with_phase else "drive"),
             self.own.drive_signal,
         )
