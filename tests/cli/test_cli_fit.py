@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from test_cli import RIG, run
 
 import vibrojax as vj
@@ -140,6 +141,19 @@ def test_what_is_ambiguous_is_asked_about_in_options(capsys, asked):
     assert "Give --decimal '.' or --decimal ','." in capsys.readouterr().err
     assert run("fit", "doubt.csv", "--decimal", ".") == 0
     np.testing.assert_allclose(asked["measured"].amplitude, [1250, 2500, 1250])
+    runs = "up: ratio,up: peak_ratio,down: ratio,down: peak_ratio"
+    Path("runs.csv").write_text(f"{runs}\n0.9,1,0.9,2\n1.0,3,1.0,4\n1.1,1,1.1,2\n")
+    assert run("fit", "runs.csv") == 2
+    assert (
+        "holds 2 curves, 'runs, up', 'runs, down': say which by --run." in capsys.readouterr().err
+    )
+    assert run("fit", "runs.csv", "--run", "down") == 0
+    np.testing.assert_allclose(asked["measured"].amplitude, [2, 4, 2])
+    one = {"ratio": np.array([0.9, 1.0, 1.1]), "peak_ratio": np.array([1.0, 3.0, 1.0])}
+    scipy.io.savemat("two.mat", {"bench": {"a": one, "b": one}})
+    assert run("fit", "two.mat") == 2
+    assert "Say which: --at 'bench.a'." in capsys.readouterr().err
+    assert run("fit", "two.mat", "--at", "bench.b") == 0
     assert run("fit", str(Path.cwd())) == 2
     assert "is a folder: give the path of a file" in capsys.readouterr().err
 

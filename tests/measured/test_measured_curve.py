@@ -236,7 +236,12 @@ def test_a_file_with_all_columns(tmp_path):
     np.testing.assert_array_equal(curve.direction, [1, -1])
     np.testing.assert_array_equal(curve.lines, [3, 5])
     assert (curve.quantity, curve.signal, curve.is_ratio) == ("peak", "displacement", False)
-    assert (curve.parameters, curve.label, curve.notes) == ({"gap": 0.4e-3}, "sweep", ())
+    assert (curve.parameters, curve.label) == ({"gap": 0.4e-3}, "sweep")
+    assert curve.notes == (
+        "Columns were taken so: 'frequency [rad/s]' as frequency in rad/s, 'Tip [mm]' as amplitude "
+        "in mm, 'sd [%]' as deviation in %, 'Contact force [mN]' as contact force in mN, "
+        "'contact_force_sd [N]' as contact force deviation in N, 'dir' as direction.",
+    )
 
 
 @pytest.mark.parametrize(
@@ -397,7 +402,7 @@ def test_directions_given():
     assert note(guessed, "Directions were guessed")
     told = read_measured_curve(source, direction="backward")
     assert told.backward.all()
-    assert told.notes == ()
+    assert not note(told, "Directions were guessed")
     named = read_measured_curve(source | {"sweep": ["F", "b", "-1", "sideways"]})
     np.testing.assert_array_equal(named.direction, [1, -1, -1])
     assert note(named, "row 4 (direction is not")

@@ -209,11 +209,11 @@ def test_what_is_no_file_is_told(tmp_path, read):
 
 def test_what_is_no_text_is_told(tmp_path):
     for start, sentence in (
-        (b"PK\x03\x04", "Excel workbook or a ZIP file: save the table as CSV"),
+        (b"PK\x03\x04", "cannot be read as a workbook"),
         (b"\x1f\x8b", "compressed: unpack it"),
         (b"\x89PNG\r\n\x1a\n", "is not text"),
         (b"\xff\xfe1", "begins as UTF-16 but is not"),
-        (b"\x89HDF\r\n\x1a\n", "cannot be read as NetCDF"),
+        (b"\x89HDF\r\n\x1a\n", "cannot be read as HDF5"),
     ):
         with pytest.raises(ValueError, match=f"Measured curve from .*{sentence}"):
             vj.io.read_measured_curve(write(tmp_path, start + bytes(range(256))[: 256 // 2 * 2]))

@@ -66,6 +66,10 @@ def check_identification(names):
     assert low < 5500 < high
 
 
+def check_measurements(names):
+    assert names["history"].contact_force.max() == pytest.approx(2 * 0.499)
+
+
 def check_laws(names):
     assert float(names["orbit"].contact_force) > 0.1
     assert len(names["history"].contacts()) > 2
@@ -109,6 +113,7 @@ CHECKS = {
     "docs/how_to/sweeps_and_branches.md": check_branches,
     "docs/how_to/maps.md": check_maps,
     "docs/how_to/identification.md": check_identification,
+    "docs/how_to/measurements.md": check_measurements,
     "docs/how_to/contact_laws.md": check_laws,
     "docs/how_to/histories.md": check_histories,
     "docs/how_to/own_system.md": check_own_system,

@@ -15,8 +15,8 @@ def path_of(what: str, path: Any) -> Path:
     return Path(text)
 
 
-def read_bytes(what: str, path: Any, most: int | None = None) -> bytes:
-    """Return what is in a file of at most `most` bytes.
+def read_bytes(what: str, path: Any, most: int | None = None, first: int = -1) -> bytes:
+    """Return what is in a file of at most `most` bytes, or the `first` bytes of it.
 
     Raises `ValueError`, in the name of `what`, when there is no such file, or it cannot be read.
     """
@@ -32,7 +32,8 @@ def read_bytes(what: str, path: Any, most: int | None = None) -> bytes:
             raise ValueError(
                 f"{name} is too large: {there.st_size / 1e6:.0f} MB, at most {most / 1e6:g} MB."
             )
-        return path.read_bytes()
+        with path.open("rb") as file:
+            return file.read(first)
     except FileNotFoundError:
         raise ValueError(f"{name} does not exist.") from None
     except OSError as error:

@@ -31,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     try:
         return _run(parsed(argv))
-    except ValueError as error:
+    except (ValueError, ImportError) as error:  # such as a format of which the library is missing
         print(f"vibrojax: {error}", file=sys.stderr)
         return 2
     except OSError as error:

@@ -220,14 +220,17 @@ def columns_of(texts: Sequence[str], example: str) -> dict[str, str | int | None
 def read_curve(options: Fit) -> MeasuredCurve:
     """Read the curve to fit. Raises `ValueError` as `read_measured_curve` does."""
     columns = columns_of(options.columns, "frequency=f_Hz")
-    how = {name: getattr(options, name) for name in ("quantity", "frame", "decimal")}
+    how = {name: getattr(options, name) for name in ("quantity", "frame", "decimal", "at", "run")}
     units = pairs("--units", options.units, "amplitude=mm")
     try:
         found = read_measured_curve(options.curve, columns=columns, units=units, **how)
     except ValueError as error:
         raise ValueError(as_options(str(error))) from None
     if not isinstance(found, MeasuredCurve):
-        raise ValueError(f"{str(options.curve)!r} holds {len(found)} curves: give a file of one.")
+        names = ", ".join(repr(curve.label) for curve in found)
+        raise ValueError(
+            f"{str(options.curve)!r} holds {len(found)} curves, {names}: say which by --run."
+        )
     return found
 
 
@@ -238,4 +241,4 @@ def as_options(advice: str) -> str:
         lambda m: f"--{m[1]} {m[2]}={'none' if m[3] == 'None' else m[3]}",
         advice,
     )
-    return re.sub(r"\b(decimal|quantity|frame)=", r"--\1 ", advice)
+    return re.sub(r"\b(decimal|quantity|frame|at|run)=", r"--\1 ", advice)

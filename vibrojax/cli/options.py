@@ -92,8 +92,9 @@ class Simulate:
     """
 
     rig: _Rig = None
-    # measured drive: text with a header (.csv, .txt) or NetCDF, columns like time [s],
-    # acceleration [m/s2], or force [N] where a force drives the rig; straight between samples
+    # measured drive: text with a header (.csv, .txt), Excel, MAT, HDF5, NetCDF, TDMS, UFF; columns
+    # like time [s], acceleration [m/s2], or force [N] where a force drives the rig; straight
+    # between samples
     drive: Annotated[Path | None, _said("RECORD.csv", "none")] = None
     # frequency of a harmonic drive instead, Hz
     frequency: Annotated[float | None, _said("HERTZ", "none")] = None
@@ -117,6 +118,10 @@ class Simulate:
     columns: Annotated[_Texts, _said("NAME=COLUMN ...", "recognised by their names")] = ()
     # units where its header has none, as time=ms acceleration=g
     units: Annotated[_Texts, _said("NAME=UNIT ...", "those of the header")] = ()
+    # where in a file of several tables: sheet, path of a struct or group, number of a record
+    at: Annotated[str | None, _said("PLACE", "the only one")] = None
+    # which run of a table that has several side by side
+    run: Annotated[str | None, _said("NAME", "the only one")] = None
     # decimal sign of the record
     decimal: Annotated[
         Literal[".", ","] | None, _said("{.,,}", "read off its numbers, if they can")
@@ -226,7 +231,8 @@ class Fit:
     $ vibrojax fit curve.csv --columns frequency=f amplitude=tip --units frequency=Hz amplitude=mm
     """
 
-    # measured frequency response: text with a header (.csv, .txt) or NetCDF
+    # measured frequency response: text with a header (.csv, .txt), Excel, MAT, HDF5, NetCDF, TDMS,
+    # UFF
     curve: Annotated[
         Path,
         tyro.conf.Positional,
@@ -252,6 +258,10 @@ class Fit:
     columns: Annotated[_Texts, _said("NAME=COLUMN ...", "recognised by their names")] = ()
     # units where the header has none, as frequency=Hz amplitude=mm (or ratio)
     units: Annotated[_Texts, _said("NAME=UNIT ...", "those of the header")] = ()
+    # where in a file of several tables: sheet, path of a struct or group, number of a record
+    at: Annotated[str | None, _said("PLACE", "the only one")] = None
+    # which run of a table that has several side by side
+    run: Annotated[str | None, _said("NAME", "the only one")] = None
     # decimal sign of the file
     decimal: Annotated[
         Literal[".", ","] | None, _said("{.,,}", "read off its numbers, if they can")

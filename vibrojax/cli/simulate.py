@@ -77,7 +77,8 @@ def _drive(options: Simulate, system: ImpactingBeam) -> dict[str, Any]:
     kind = "force" if isinstance(system.drive, PointForce) else "acceleration"
     columns = columns_of(options.columns, f"{kind}=2")
     units = pairs("--units", options.units, f"{kind}=N" if kind == "force" else f"{kind}=g")
-    how: dict[str, Any] = {"columns": columns, "units": units, "decimal": options.decimal}
+    how: dict[str, Any] = {name: getattr(options, name) for name in ("decimal", "at", "run")}
+    how |= {"columns": columns, "units": units}
     try:
         return {"waveform": read_drive(options.drive, quantity=kind, **how)}
     except ValueError as error:

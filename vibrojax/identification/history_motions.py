@@ -23,8 +23,9 @@ from vibrojax.steady.starting import stepper
 from vibrojax.stepping import splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 from vibrojax.stepping.input_phases import input_phases
+from vibrojax.stepping.linearly_implicit import STEPS, LinearlyImplicit
 from vibrojax.stepping.signal_march import march_equal, march_unequal
-from vibrojax.stepping.stepper import ExponentialSplitting
+from vibrojax.stepping.stepper import ExactContact
 
 lax = jax.lax
 
@@ -33,6 +34,8 @@ LONGEST = 6
 MOST_PERIODS = 600
 APPROACH, APPROACH_PERIODS = 0.4, 150
 """How far away the drive frequency starts, relative, and in how many periods it arrives."""
+BETWEEN_SAMPLES = 16
+"""Fewest steps between two samples where nothing says how short contacts are."""
 RETURNED = 1e-4
 """Relative return after which a march is left to Newton's method."""
 
@@ -149,21 +152,26 @@ def _motion(rig: Rig) -> Motion:
 
 def _advance(motion: Motion, exact: bool, start, duration, state):
     """State of one lane after a duration (s)."""
-    method = stepper(exact)
-    if not isinstance(method, ExponentialSplitting):
-        return method.advance(motion, start, duration, state, None)
     equations = motion.equations.linear_between_contacts
     assert equations is not None  # checked before
+    method = stepper(exact) if exact or equations.is_modal else LinearlyImplicit()
+    if isinstance(method, ExactContact):
+        return method.advance(motion, start, duration, state, None)
     rate = motion.clock
-    per_period = splitting.steps_for(equations, rate, jnp.asarray(method.tolerance))
     # An interval of length zero would have no derivative.
     duration = duration + 1e-12 / rate
+    if isinstance(method, LinearlyImplicit):
+        per_period, fewest = STEPS, BETWEEN_SAMPLES
+    else:
+        per_period = splitting.steps_for(equations, rate, jnp.asarray(method.tolerance))
+        fewest = 1.0
     steps = jnp.ceil(lax.stop_gradient(duration * per_period * rate) / (2 * jnp.pi))
-    steps = jnp.maximum(steps, 1.0).astype(jnp.int32)
+    steps = jnp.maximum(steps, fewest).astype(jnp.int32)
     part = duration / steps
+    kept = method.init(None, 0.0, part, state, motion)
 
     def one(k, state):
-        return method.advance(motion, start + k * part, part, state, None)
+        return method.advance(motion, start + k * part, part, state, kept)
 
     return lax.fori_loop(0, steps, one, state)
 

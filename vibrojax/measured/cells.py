@@ -134,7 +134,7 @@ def numbers_in(cells: np.ndarray) -> np.ndarray:
         return cells.astype(complex)
     if kind == "V" and parts is not None and set(parts) == {"r", "i"}:  # as HDF5 has them
         return cells["r"] + 1j * cells["i"]
-    listed = cells.tolist()
+    listed = ["nan" if cell is None or cell == "" else cell for cell in cells.tolist()]
     if set(map(type, listed)) <= {str, float}:
         try:
             return np.fromiter(map(float, listed), float, len(listed))
@@ -143,6 +143,21 @@ def numbers_in(cells: np.ndarray) -> np.ndarray:
     found = [number_in(cell) for cell in listed]
     kind = complex if any(isinstance(number, complex) for number in found) else float
     return np.array([np.nan if number is None else number for number in found], dtype=kind)
+
+
+def is_empty(cells: np.ndarray) -> np.ndarray:
+    """Return where cells are empty: without text, or NaN."""
+    if cells.dtype.kind in "fc":
+        return np.isnan(cells)
+    if cells.dtype.kind not in "OUT":
+        return np.zeros(len(cells), dtype=bool)
+    return np.array([_is_nothing(cell) for cell in cells.tolist()], dtype=bool)
+
+
+def _is_nothing(cell: Any) -> bool:
+    if isinstance(cell, str):
+        return cell.strip().lower() in ("", "nan")
+    return cell is None or (isinstance(cell, float) and cell != cell)
 
 
 def plain_array(values: Any) -> np.ndarray:

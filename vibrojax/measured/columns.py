@@ -10,12 +10,13 @@ from vibrojax._tools.checks import nearest
 from vibrojax.measured.cells import (
     DECIMALS,
     doubtful,
+    is_empty,
     joined,
     number_in,
     numbers_in,
     with_points,
 )
-from vibrojax.measured.tables import Table
+from vibrojax.measured.table import Table, listed
 from vibrojax.measured.units import UNITS, find_unit, split_header, unit_named
 
 CONTACT_FORCE = "(?:max|maximum|peak|largest)?(?:contact|impact)force"
@@ -105,13 +106,31 @@ def column_unit(
 ) -> str | None:
     """Return the unit of a column: as given, as its name says, or as came with it; else None.
 
-    Raises `ValueError` for a unit that is not known or is of another kind.
+    Raises `ValueError` for a unit that is not known or is of another kind, or where the name and
+    what came with it say different ones.
     """
-    written = split_header(column).unit
-    for text in (units.get(key), table.units.get(column), written):
+    written, came = split_header(column).unit, table.units.get(column)
+    known = {find_unit(text) for text in (written, came) if text is not None} - {None}
+    if key not in units and len(known) > 1:
+        raise ValueError(
+            f"Column {column!r} has the unit {written!r} in its name and {came!r} beside it. "
+            f"Say which: units=dict({key}={written!r})."
+        )
+    for text in (units.get(key), came, written):
         if text is not None:
             return unit_named(key, text, kinds)
     return None
+
+
+def taken(table: Table, columns: Mapping[str, str], units: Mapping[str, str]) -> str:
+    """Return a sentence that says which column was taken for what, in which unit."""
+    told = [
+        f"{column!r} as {key.replace('_', ' ')}" + (f" in {units[key]}" if key in units else "")
+        for key, column in columns.items()
+    ]
+    left = [name for name in table.columns if name not in columns.values()]
+    unused = f"; not used: {listed(left)}" if left else ""
+    return f"Columns were taken so: {', '.join(told)}{unused}."
 
 
 class Unusable:
@@ -157,10 +176,12 @@ def raw_numbers(table: Table, column: str, key: str) -> np.ndarray:
         raise ValueError(f"Column {column!r} for the {key} {error}.") from None
 
 
-def numbers(table: Table, column: str, key: str, trouble: Unusable) -> np.ndarray:
+def numbers(
+    table: Table, column: str, key: str, trouble: Unusable, gaps: bool = False
+) -> np.ndarray:
     """Return a column as numbers, complex where they are; rows that hold none go to `trouble`.
 
-    Raises `ValueError` as `raw_numbers` does.
+    With `gaps` cells may be empty, and are NaN. Raises `ValueError` as `raw_numbers` does.
     """
     found = raw_numbers(table, column, key)
     cells = table.columns[column]
@@ -173,18 +194,19 @@ def numbers(table: Table, column: str, key: str, trouble: Unusable) -> np.ndarra
             return f"{key} is no number: {str(cell).strip()!r}"
         return f"{key} is {found[row]:g}"
 
-    trouble.add(~np.isfinite(found), reason)
+    bad = ~np.isfinite(found)
+    trouble.add(bad & ~is_empty(cells) if gaps and bad.any() else bad, reason)
     return found
 
 
 def real_numbers(
-    table: Table, column: str, key: str, trouble: Unusable, advice: str = ""
+    table: Table, column: str, key: str, trouble: Unusable, advice: str = "", gaps: bool = False
 ) -> np.ndarray:
-    """Return a column as real numbers, as `numbers` does.
+    """Return a column as real numbers, as `numbers` does. With `gaps` cells may be empty.
 
     Raises `ValueError` for complex ones too, with the advice.
     """
-    found = numbers(table, column, key, trouble)
+    found = numbers(table, column, key, trouble, gaps)
     if not np.iscomplexobj(found):
         return found
     bad = np.flatnonzero(np.nan_to_num(np.imag(found)) != 0)

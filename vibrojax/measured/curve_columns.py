@@ -12,9 +12,10 @@ from vibrojax.measured.columns import (
     find_column,
     match_columns,
 )
+from vibrojax.measured.datasets import OWN
 from vibrojax.measured.kinds import FRAMES, QUANTITIES, SIGNALS
-from vibrojax.measured.tables import OWN, Table
-from vibrojax.measured.units import UNITS, split_header
+from vibrojax.measured.table import Table
+from vibrojax.measured.units import AXES, UNITS, split_header
 
 _AMPLITUDE = (
     "(?:tip|beam|half|peaktopeak|pkpk|p2p|pp|peak|max|rms|firstharmonic|h1|amplitude|amp"
@@ -28,7 +29,7 @@ _ELECTRIC = (
 _RESPONSE = f"(?:{_AMPLITUDE}|h|frf|x|y|response|receptance|compliance|mobility|accelerance|of)*"
 _DEVIATION = "(?:standarddeviation|stddeviation|stddev|deviation|sd|sigma|std|uncertainty|error)"
 PATTERNS = {
-    "frequency": "(?:drive|driving|excitation)?(?:frequency|freq|f|hz|omega|rpm|ratio|r)",
+    "frequency": AXES["frequency"],
     "amplitude": _AMPLITUDE,
     "deviation": f"(?:{_AMPLITUDE}|{_ELECTRIC})?{_DEVIATION}"
     f"|{_DEVIATION}(?:{_AMPLITUDE}|{_ELECTRIC})",

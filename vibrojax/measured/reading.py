@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax._tools.signatures import validated
-from vibrojax.measured.columns import Unusable, numbers, real_numbers, usable
+from vibrojax.measured.columns import Unusable, numbers, real_numbers, taken, usable
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves, check_parameters
 from vibrojax.measured.curve_columns import CurveColumns
 from vibrojax.measured.directions import (
@@ -18,8 +18,10 @@ from vibrojax.measured.directions import (
     directions_in,
     guess_directions,
 )
+from vibrojax.measured.runs import runs_of
 from vibrojax.measured.splitting import Splitting
-from vibrojax.measured.tables import Table, read_table
+from vibrojax.measured.table import Table
+from vibrojax.measured.tables import read_table
 from vibrojax.measured.units import UNITS, split_header
 
 _REAL = {
@@ -43,14 +45,17 @@ def read_measured_curve(
     split: str | Sequence[str] | None = None,
     skip_unusable: bool = True,
     decimal: str | None = None,
+    at: str | int | None = None,
+    run: str | None = None,
 ) -> MeasuredCurve | MeasuredCurves:
     """Read measured frequency responses.
 
         curve = read_measured_curve("sweep.csv", units=dict(frequency="Hz", amplitude="mm"))
 
     `source` is the path of a text file (commas, semicolons, tabs or spaces; a header; `#` begins a
-    comment) or of a NetCDF file, an xarray dataset (also that of a `frequency_sweep`), a pandas
-    data frame, a series over frequency, or a dict of arrays; a list of them gives several curves.
+    comment), a workbook (Excel, LibreOffice), a MAT, HDF5, NetCDF, TDMS or universal file (UFF,
+    data set 58), an xarray dataset (also that of a `frequency_sweep`), a pandas data frame, a
+    series over frequency, or a dict of arrays; a list of them gives several curves.
 
     A complex amplitude is a response: its magnitude is taken, of the first harmonic, and its angle
     kept as the phase. It may also be two columns, `real` and `imaginary`. Complex numbers anywhere
@@ -77,9 +82,13 @@ def read_measured_curve(
             refuses them.
         decimal: decimal sign of numbers in text, `.` or `,`; None: read off the cells. Where none
             of them decides (`5,400` may be 5.4 or 5400), it has to be given.
+        at: where in a file of several tables: the name of a sheet, the path of a struct, group or
+            matrix (`"bench.run1"`, `"bench/run1"`), the number of a record of a universal file.
+        run: the run of a table that has several side by side (`Run 1: f (Hz)`); None: all of them.
 
-    Raises `ValueError` when a source cannot be read, a column, unit or decimal sign is missing,
-    ambiguous or unknown, or no row can be used.
+    Raises `ValueError` when a source cannot be read, a column, unit, decimal sign, table or run is
+    missing, ambiguous or unknown, or no row can be used; `ImportError` where the library for a
+    format is not installed.
     """
     if isinstance(source, list | tuple):
         settings = {k: v for k, v in locals().items() if k != "source"}
@@ -90,15 +99,20 @@ def read_measured_curve(
             tuple(c for one in found for c in ([one] if isinstance(one, MeasuredCurve) else one))
         )
     label = os.fspath(source) if isinstance(source, str | os.PathLike) else type(source).__name__
+    where = label
     try:
         split_by = [split] if isinstance(split, str) else list(split or ())
-        table = read_table(source, [*(columns or {}).values(), *split_by], decimal=decimal)
-        given = CurveColumns(table, columns, dict(units or {}), quantity, signal, frame, split_by)
+        table = read_table(source, [*(columns or {}).values(), *split_by], None, decimal, at)
         known = table.attached | check_parameters(parameters or {})
-        found = _Reader(table, given).curves(direction, known, skip_unusable)
+        runs, found = runs_of(table, run), []
+        units = dict(units or {})
+        for name, part in runs.items():
+            where = f"{label}, {name}" if name else label
+            given = CurveColumns(part, columns, units, quantity, signal, frame, split_by)
+            found += _Reader(part, given).curves(direction, known, skip_unusable)
     except ValueError as error:
-        raise ValueError(f"Measured curve from {label!r}: {error}") from None
-    return MeasuredCurves(tuple(found)) if split_by else found[0]
+        raise ValueError(f"Measured curve from {where!r}: {error}") from None
+    return MeasuredCurves(tuple(found)) if split_by or len(runs) > 1 else found[0]
 
 
 class _Reader:
@@ -106,7 +120,9 @@ class _Reader:
 
     def __init__(self, table: Table, given: CurveColumns):
         self.table, self.own = table, given
-        self.notes = [*table.notes, *given.notes]
+        columns = given.columns | ({"imaginary": given.imaginary} if given.imaginary else {})
+        said = taken(table, columns | given.split, given.unit)
+        self.notes = [*table.notes, said, *given.notes]
 
     def curves(
         self, direction: str | int | None, known: dict[str, float], skip: bool

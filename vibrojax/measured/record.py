@@ -15,12 +15,14 @@ from vibrojax.measured.columns import (
     real_numbers,
     usable,
 )
-from vibrojax.measured.tables import Table, read_table
-from vibrojax.measured.units import UNITS, find_unit, split_header
+from vibrojax.measured.runs import runs_of
+from vibrojax.measured.table import Table, listed
+from vibrojax.measured.tables import read_table
+from vibrojax.measured.units import AXES, UNITS, find_unit, split_header
 from vibrojax.model.signals import Sampled
 
 _PATTERNS = {
-    "time": "time|t",
+    "time": AXES["time"],
     "acceleration": "(?:base|drive|table|shaker|input)?(?:acceleration|accel|acc)",
 }
 _QUANTITIES = {"acceleration": "m/s2", "force": "N"}
@@ -36,12 +38,14 @@ def read_drive(
     units: Mapping[str, str] | None = None,
     skip_unusable: bool = False,
     decimal: str | None = None,
+    at: str | int | None = None,
+    run: str | None = None,
 ) -> Sampled:
     """Read a measured drive, as `simulate(waveform=...)` takes it.
 
         drive = vj.io.read_drive("record.csv", units=dict(acceleration="g"))
 
-    `source` and `decimal` are as for `read_measured_curve`; time is in s where nothing says
+    `source`, `decimal` and `at` are as for `read_measured_curve`; time is in s where nothing says
     otherwise.
 
     Parameters:
@@ -52,16 +56,24 @@ def read_drive(
         skip_unusable: whether rows that hold no numbers are left out, and bridged by a straight
             line; else they are refused.
         decimal: decimal sign of numbers in text, `.` or `,`; None: read off the cells.
+        at: the place in a file of several tables.
+        run: the run of a table of several, by name.
 
-    Raises `ValueError` when the source cannot be read, a column or unit is missing, ambiguous or
-    unknown, or what is read is no `Sampled`.
+    Raises `ValueError` when the source cannot be read, a column, unit or run is missing, ambiguous
+    or unknown, or what is read is no `Sampled`; `ImportError` where a library for it is missing.
     """
     check_choice("quantity", quantity, tuple(_QUANTITIES))
     named = isinstance(source, str | os.PathLike)
     label = os.fspath(source) if named else type(source).__name__
     try:
         columns, units = dict(columns or {}), dict(units or {})
-        table = read_table(source, columns.values(), along="time", decimal=decimal)
+        table = read_table(source, columns.values(), along="time", decimal=decimal, at=at)
+        runs = runs_of(table, run)
+        if len(runs) > 1:
+            raise ValueError(
+                f"There are several runs: {listed(runs)}. Say which: run={next(iter(runs))!r}."
+            )
+        table = next(iter(runs.values()))
         found = _columns(table, quantity, columns)
         for key in units:
             if key not in found:
@@ -85,7 +97,11 @@ def read_drive(
 def _columns(table: Table, quantity: str, given: dict[str, Any]) -> dict[str, str]:
     """Return the columns of time and quantity, by key."""
     headers = {name: split_header(name) for name in table.columns}
-    forces = [n for n, h in headers.items() if re.fullmatch(ANY_FORCE, h.words) or _in_newtons(h)]
+    forces = [
+        n
+        for n, h in headers.items()
+        if re.fullmatch(ANY_FORCE, h.words) or _in_newtons(table.units.get(n) or h.unit)
+    ]
     patterns = dict(_PATTERNS)
     if quantity == "force":
         patterns = {"time": patterns["time"], "force": ANY_FORCE}
@@ -109,6 +125,6 @@ def _columns(table: Table, quantity: str, given: dict[str, Any]) -> dict[str, st
     return found
 
 
-def _in_newtons(header: Any) -> bool:
-    unit = None if header.unit is None else find_unit(header.unit)
+def _in_newtons(text: str | None) -> bool:
+    unit = None if text is None else find_unit(text)
     return unit is not None and UNITS[unit].kind == "force"

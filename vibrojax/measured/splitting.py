@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from vibrojax.measured.columns import Unusable, raw_numbers, real_numbers
-from vibrojax.measured.tables import Table
+from vibrojax.measured.table import Table
 from vibrojax.measured.units import UNITS, split_header, unit_named
 
 Key = tuple[float | str, ...]

@@ -17,11 +17,6 @@ _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
-_OTHER_KINDS = {
-    b"PK\x03\x04": " but an Excel workbook or a ZIP file: save the table as CSV",
-    b"\xd0\xcf\x11\xe0": " but an old Excel workbook: save the table as CSV",
-    b"\x1f\x8b": " but compressed: unpack it",
-}
 _CONTROL = bytes([*range(9), *range(14, 32), 127])
 
 
@@ -41,9 +36,6 @@ def _decoded(raw: bytes) -> str:
 
     Raises `ValueError` for what is no text.
     """
-    for start, kind in _OTHER_KINDS.items():
-        if raw.startswith(start):
-            raise ValueError(f"is not text{kind}")
     encoding = next((e for mark, e in _BYTE_ORDER_MARKS.items() if raw.startswith(mark)), None)
     encoding = encoding or _unmarked(raw[:4096])
     try:

@@ -49,6 +49,12 @@ _NO_SUFFIX = ("1", "-", "", "v", "w")
 """What is no unit behind a name: v and w are displacements and velocities too."""
 _AS_SUFFIX = {name.lower() for name in UNITS if name not in ("relative", "%")} | {"m/s^2"}
 
+AXES = {
+    "time": "time|t",
+    "frequency": "(?:drive|driving|excitation)?(?:frequency|freq|f|hz|omega|rpm|ratio|r)",
+}
+"""Words of the headers of what a table goes along."""
+
 
 def find_unit(text: str) -> str | None:
     """Return the name of a unit in any usual spelling; None when it is not known."""
