@@ -95,7 +95,9 @@ def nearest_points(
     def at(path, slopes, phase, depth, frequency, numbers):
         """Residual of the balance and what a sensor sees, the numbers changed by so much."""
         path = jax.tree.map(
-            lambda slope, value: value if slope is None else value + numbers @ slope,
+            lambda slope, value: (
+                value if slope is None else value + jnp.tensordot(numbers, slope, 1)
+            ),
             *(slopes, path),
             is_leaf=lambda leaf: leaf is None,
         )
