@@ -18,7 +18,7 @@ PURPLE = "#7b3294"
 DASHES = (0, (4, 1.6))
 TRUE = {"stiffness": 5500.0, "damping 5e-05": 5e-5, "damping 2": 2.0}
 UNITS = {"stiffness": "stiffness (N/m)", "damping": "damping (N s/m)"}
-WAYS = {1: "forward", -1: "backward"}
+WAYS = {1: "forward", -1: "backward", 0: "held"}
 
 
 def new(rows: int, columns: int, size: tuple[float, float], **how: Any) -> tuple[Figure, Any]:
@@ -38,17 +38,26 @@ def draw_points(axes: Axes, curve: dict[str, Any], what: str = "amplitude", **st
     """Draw measured points, each sweep with its own mark."""
     x, y, way = (np.array(curve[k]) for k in ("frequency", what, "direction"))
     for sign, name in WAYS.items():
-        kind = {"ls": "none", "marker": MARKERS[name], "ms": 5, "zorder": 2, **style}
-        kind.setdefault("color", COLORS[name])
+        if not np.any(way == sign):
+            continue
+        kind = {"ls": "none", "marker": MARKERS.get(name, "o"), "ms": 5, "zorder": 2, **style}
+        kind.setdefault("color", COLORS.get(name, BLUE))
         axes.plot(x[way == sign], y[way == sign], label=f"measured, {name}", **kind)
 
 
-def draw_curve(axes: Axes, curve: dict[str, Any], color: str, label: str, width: float = 1.8):
+def draw_curve(
+    axes: Axes,
+    curve: dict[str, Any],
+    color: str,
+    label: str,
+    width: float = 1.8,
+    what: str = "amplitude",
+):
     """Draw a fitted curve, its unstable part dashed."""
-    x, y = np.array(curve["curve_frequency"]), np.array(curve["curve_amplitude"])
-    gone = ~np.array(curve["continues"], bool)
-    unstable = np.array(curve["unstable"], bool)
-    broken = np.where(gone, np.nan, y)
+    x, y = np.array(curve["curve_frequency"]), np.array(curve[f"curve_{what}"])
+    ends = np.flatnonzero(~np.array(curve["continues"], bool)) + 1
+    x, broken = (np.insert(values, ends, np.nan) for values in (x, y))
+    unstable = np.insert(np.array(curve["unstable"], bool), ends, False)
     # The point next to a change belongs to both, so that the line has no gap.
     beside = unstable | np.roll(unstable, 1) | np.roll(unstable, -1)
     axes.plot(x, np.where(unstable, np.nan, broken), color=color, lw=width, label=label, zorder=3)
@@ -184,7 +193,7 @@ def draw_gaps(results: dict[str, Any], curves: dict[str, Any], path: Path) -> No
     one.set_title(words, fontsize=LABEL - 1, loc="left")
     lines, labels = one.get_legend_handles_labels()
     kept = [k for k, text in enumerate(labels) if "fitted" in text]
-    for sign in WAYS.values():
+    for sign in ("forward", "backward"):
         lines += one.plot([], [], ls="none", marker=MARKERS[sign], color=GREY)
         labels.append(f"measured, {sign}")
     kept += [len(labels) - 2, len(labels) - 1]
@@ -196,6 +205,24 @@ def draw_gaps(results: dict[str, Any], curves: dict[str, Any], path: Path) -> No
         fontsize=SMALL,
         frameon=False,
     )
+    figure.savefig(path)
+
+
+def draw_whole(results: dict[str, Any], curves: dict[str, Any], path: Path) -> None:
+    """Draw points along the whole branch with the fitted curve, amplitude and phase."""
+    figure, axes = new(2, 1, (10, 8), sharex=True, height_ratios=(3, 2))
+    curve, words = curves["complex"], ("first harmonic over drive", "phase, rad")
+    for (one,), what, label in zip(axes, ("amplitude", "phase"), words, strict=True):
+        draw_points(one, curve, what, color=BLUE)
+        draw_curve(one, curve, "black", "fitted curve, dashed where no sweep stays", 1.6, what)
+        one.set_ylabel(label, fontsize=LABEL)
+    points, fit = results["points"], results["complex"]["fits"][0]
+    (low, high), estimate = fit["interval"]["stiffness"], fit["estimate"]["stiffness"]
+    title = f"{points['all']} points, {points['unstable']} of them unstable"
+    finish(axes[0][0], f"{title}: stiffness {estimate:.0f} ({low:.0f} to {high:.0f}) N/m")
+    axes[0][0].set_xlim(0.88, 1.33)
+    axes[1][0].set_xlabel("frequency ratio", fontsize=LABEL)
+    legend(figure, axes[0][0], 2)
     figure.savefig(path)
 
 
@@ -211,6 +238,7 @@ def draw_all(folder: Path) -> None:
     if "coverage" in results:
         draw_coverage(results["coverage"], drawn / "coverage.png")
     parts = {"early_jump": draw_early, "model_error": draw_errors, "gaps": draw_gaps}
+    parts["whole_curve"] = draw_whole
     for part, draw in parts.items():
         if part in curves:
             draw(results[part], curves[part], drawn / f"{part}.png")

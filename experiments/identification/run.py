@@ -9,9 +9,11 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import excitation
 import numpy as np
 import pictures
 
@@ -104,9 +106,20 @@ def curve_of(fit: vj.identification.Identification, measurement: int = 0) -> dic
         "amplitude": np.round(m.amplitude, 4).tolist(),
         "residual": np.round(p["residual"].values, 3).tolist(),
         "curve_frequency": np.round(p["curve_frequency"].values, 5).tolist(),
-        "curve_amplitude": np.round(p["curve_amplitude"].values, 4).tolist(),
+        "curve_amplitude": np.round(p[f"curve_{m.quantity}"].values, 4).tolist(),
+        **phases_of(m, p),
         "unstable": p["curve_unstable"].values.tolist(),
         "continues": p["curve_continues"].values.tolist(),
+    }
+
+
+def phases_of(m: vj.io.MeasuredCurve, p: Any) -> dict[str, Any]:
+    """Return the phases of points and curve, where they were measured."""
+    if m.phase is None:
+        return {}
+    return {
+        "phase": np.round(p["measured_phase"].values, 4).tolist(),
+        "curve_phase": np.round(p["curve_phase"].values, 4).tolist(),
     }
 
 
@@ -145,12 +158,12 @@ def recovery(quick: bool) -> dict[str, Any]:
 
 
 def fit_draws(
-    amplitude: np.ndarray, seeds: Iterable[int], group: int = 10, **how: Any
+    draw: Callable[[int], vj.io.MeasuredCurve], seeds: Iterable[int], group: int = 10, **how: Any
 ) -> tuple[list[vj.identification.Identification], dict[str, float]]:
     """Fit draws of the noise in groups, each by itself."""
     seeds, timer, found = list(seeds), Timer.start(), []
     for k in range(0, len(seeds), group):
-        data = [measured(amplitude, seed) for seed in seeds[k : k + group]]
+        data = [draw(seed) for seed in seeds[k : k + group]]
         found += vj.identify(vj.default_rig, data, GUESS, together=False, **how)
         print(f"{k + len(data)} of {len(seeds)}: {timer.read()}", flush=True)
     return found, timer.read()
@@ -183,7 +196,8 @@ def coverage(quick: bool) -> dict[str, Any]:
     """Fit 40 draws of the noise for each truth: is the truth inside as often as it should be?"""
     table = {}
     for damping in DAMPINGS[: 1 if quick else 2]:
-        fits, took = fit_draws(clean(damping), range(100, 102 if quick else 140))
+        draw = partial(measured, clean(damping))
+        fits, took = fit_draws(draw, range(100, 102 if quick else 140))
         rows = [numbers(f) for f in fits]
         table[name_of(damping)] = {"summary": summary(rows, damping), "took": took, "fits": rows}
         print(name_of(damping), json.dumps(table[name_of(damping)]["summary"]), flush=True)
@@ -199,7 +213,7 @@ def early_jump(quick: bool) -> dict[str, Any]:
             if quick and kind == "whole":
                 continue
             seeds = range(100, 102 if quick else 108)
-            fits, took = fit_draws(amplitude, seeds, objective=objective)
+            fits, took = fit_draws(partial(measured, amplitude), seeds, objective=objective)
             rows = [numbers(f) for f in fits]
             key = f"{name_of(damping)} {objective} {kind}"
             table[key] = {"summary": summary(rows, damping), "took": took, "fits": rows}
@@ -273,6 +287,38 @@ def free_gap(quick: bool) -> dict[str, Any]:
     return table
 
 
+def drive(quick: bool) -> dict[str, Any]:
+    """Fit sweeps whose drive falls by a fifth with the response: known at every point, or not."""
+    damping, table = DAMPINGS[1], {"curves": {}}
+    swept = excitation.Wandering.swept(
+        RATIOS, 3 if quick else 17, stiffness=STIFFNESS, damping=damping
+    )
+    table["range"] = {"lowest": swept.drive.min(), "highest": swept.drive.max()}
+    usual = float(np.median(swept.drive))
+    for name, known in (("as measured", True), ("as its median", False)):
+        draw = partial(swept.measured, known=known)
+        fits, took = fit_draws(draw, range(100, 102 if quick else 120), base_amplitude=usual)
+        rows = [numbers(f) for f in fits]
+        table[name] = {"summary": summary(rows, damping), "took": took, "fits": rows}
+        print(name, json.dumps(table[name]["summary"]), flush=True)
+    return table
+
+
+def whole_curve(quick: bool) -> dict[str, Any]:
+    """Fit points along the whole branch: complex, their amplitudes, and the stable of these."""
+    damping, table = DAMPINGS[1], {"curves": {}}
+    held = excitation.Held.along(0.9, 1.32, 60, stiffness=STIFFNESS, damping=damping)
+    table["points"] = {"all": len(held.stable), "unstable": int(np.sum(~held.stable))}
+    for name in ("complex", "amplitudes", "stable"):
+        draw = partial(held.measured, kind=name)
+        fits, took = fit_draws(draw, range(100, 102 if quick else 120))
+        rows = [numbers(f) for f in fits]
+        table[name] = {"summary": summary(rows, damping), "took": took, "fits": rows}
+        table["curves"][name] = curve_of(fits[0])
+        print(name, json.dumps(table[name]["summary"]), flush=True)
+    return table
+
+
 PARTS: dict[str, Callable[[bool], dict[str, Any]]] = {
     "recovery": recovery,
     "coverage": coverage,
@@ -280,6 +326,8 @@ PARTS: dict[str, Callable[[bool], dict[str, Any]]] = {
     "model_error": model_error,
     "gaps": gaps,
     "free_gap": free_gap,
+    "drive": drive,
+    "whole_curve": whole_curve,
 }
 
 

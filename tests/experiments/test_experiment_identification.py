@@ -24,11 +24,18 @@ def test_quick_run(tmp_path):
         "model_error",
         "gaps",
         "free_gap",
+        "drive",
+        "whole_curve",
     ]
-    assert len(list((tmp_path / "pictures").glob("*.png"))) == 4
+    assert len(list((tmp_path / "pictures").glob("*.png"))) == 5
     (found,) = results["recovery"]["damping 5e-05"]
     low, high = found["interval"]["stiffness"]
     assert low < 5500 < high
     assert found["interval"]["damping"][1] < 0.3
     early = results["early_jump"]["damping 5e-05 distance early"]
     assert all("jumped early" in fit["warnings"][0] for fit in early["fits"])
+    for part, kinds in (("drive", ["as measured"]), ("whole_curve", ["complex", "amplitudes"])):
+        for kind in kinds:
+            for fit in results[part][kind]["fits"]:
+                low, high = fit["interval"]["stiffness"]
+                assert low < 5500 < high

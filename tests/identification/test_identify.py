@@ -18,6 +18,7 @@ from vibrojax.identification.coordinates import coordinate_of
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.findings import modes_left_out
 from vibrojax.identification.least_squares import LevenbergMarquardt
+from vibrojax.identification.trail import Trail, residuals_along
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.identification.uncertainty import influence, uncertainty
 
@@ -153,6 +154,57 @@ def test_the_derivative_of_the_misfit(make, name):
     residual, derivative = misfit.residuals(extreme, np.zeros(3, int), 0.005)
     assert np.isfinite(residual).all()
     assert np.isfinite(derivative).all()
+
+
+def test_a_trial_that_is_near_follows_no_curve(make, name, monkeypatch):
+    misfit = CurveMisfit(Maker(make, ("stiffness", "damping"), {}, {}), [measured(name=name)])
+    which, trail = np.zeros(1, int), Trail()
+
+    def along(numbers):
+        return residuals_along(trail, [(0, 0)], misfit, np.array([numbers]), which, 0.001, False)
+
+    def no_curve(*_):
+        raise AssertionError("a curve was followed")
+
+    first = along([5480.0, 0.05])
+    expected = misfit.residuals(np.array([[5495.0, 0.08]]), which, 0.001)
+    with monkeypatch.context() as patched:
+        patched.setattr(CurveMisfit, "curves", no_curve)
+        again = along([5480.0, 0.05])
+        near = along([5495.0, 0.08])
+        with pytest.raises(AssertionError, match="followed"):
+            along([2000.0, 0.05])
+    # Searches solve for a point to a thousandth of the motion: distances are off by its square,
+    # derivatives next to folds by more.
+    np.testing.assert_allclose(near[0], expected[0], atol=5e-3)
+    close = np.isclose(near[1], expected[1], rtol=1e-3, atol=2e-3 * np.abs(expected[1]).max())
+    assert close.mean() > 0.97
+    assert all(np.array_equal(a, b) for a, b in zip(again, first, strict=True))
+    # Points without contact stay where they are.
+    kept = trail[0, 0]
+    assert 10 < kept.rests.sum() < misfit.points
+    still = kept.nearest.derivative[kept.rests]
+    assert not still.any()
+
+
+def test_a_point_that_was_predicted_wrongly_is_looked_for_on_the_curve(make, name):
+    misfit = CurveMisfit(Maker(make, ("stiffness", "damping"), {}, {}), [measured(name=name)])
+    which, at = np.zeros(1, int), np.array([[5480.0, 0.05]])
+    trail = Trail()
+    residuals_along(trail, [(0, 0)], misfit, at, which, 0.001, False)
+    kept = trail[0, 0]
+    # A point that is on the curve, but far from the one that is nearest.
+    elsewhere = kept.nearest.frequency.copy()
+    point = int(np.flatnonzero(~kept.rests)[5])
+    elsewhere[point] = kept.nearest.frequency[point - 5]
+    depth = kept.nearest.depth.copy()
+    depth[point] = kept.nearest.depth[point - 5]
+    wrong = kept.nearest._replace(frequency=elsewhere, depth=depth)
+    trail[0, 0] = kept._replace(nearest=wrong)
+    near = at + np.array([[1.0, 0.0]])
+    found, _ = residuals_along(trail, [(0, 0)], misfit, near, which, 0.001, False)
+    expected, _ = misfit.residuals(near, which, 0.001)
+    np.testing.assert_allclose(found, expected, atol=0.01)
 
 
 @pytest.mark.slow

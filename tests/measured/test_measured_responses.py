@@ -81,8 +81,12 @@ def test_a_complex_column_is_a_response_with_magnitude_and_phase(tmp_path, sourc
     np.testing.assert_allclose(curve.amplitude, np.abs(RESPONSE), rtol=1e-12)
     np.testing.assert_allclose(curve.phase, np.angle(RESPONSE), rtol=1e-12)
     assert curve.quantity == "first_harmonic"
-    assert any("complex: its magnitude" in n and "fits do not use" in n for n in curve.notes)
-    assert "phase, rad: -3.033 to -0.08866, not used by fits" in repr(curve)
+    assert any("complex: its magnitude" in n and "is fitted too" in n for n in curve.notes)
+    assert "phase, rad: -3.033 to -0.08866" in repr(curve)
+    left = vj.io.read_measured_curve(SOURCES[source](tmp_path), columns=dict(phase=None))
+    assert left.phase is None
+    np.testing.assert_allclose(left.amplitude, np.abs(RESPONSE), rtol=1e-12)
+    assert left.quantity == "first_harmonic"
 
 
 def test_a_curve_made_of_complex_amplitudes():
@@ -109,7 +113,7 @@ def test_magnitude_and_phase_in_two_columns():
     assert (curve.size, curve.quantity) == (31, "amplitude")
     np.testing.assert_allclose(np.delete(curve.phase - np.angle(RESPONSE), 3), 0, atol=1e-12)
     assert np.isnan(curve.phase[3])
-    assert "Column 'phase [deg]' is kept as the phase; fits do not use it." in curve.notes
+    assert any("'phase [deg]' was taken for the phase" in note for note in curve.notes)
     unclear = vj.io.read_measured_curve(source | {"phase": degrees})
     assert unclear.phase is None
     assert any("'phase' was left out, as it says no unit" in note for note in unclear.notes)

@@ -377,7 +377,7 @@ LEGAL = {
     "list of one": words(
         "frequency frequency_ratio contact_fraction response_map input_map gap stiffness release s "
         "amplitude_deviation contact_force_deviation gap_ratios load frequencies maxwell_stiffness "
-        "relaxation_time"
+        "relaxation_time drive_amplitude"
     ),
     "empty dict": words("deviation units bounds transforms columns parameters measures share_of"),
     "dict": words("parameters share_of"),

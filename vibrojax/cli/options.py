@@ -254,7 +254,7 @@ class Fit:
     # how many searches, from as many starts
     searches: Annotated[int, _said("COUNT", "1")] = 1
     # columns of the file, by name or position from 0 (none: leave out), as frequency=f_Hz
-    # amplitude=2; also deviation, contact_force, direction, real, imaginary
+    # amplitude=2; also deviation, contact_force, drive, phase, direction, real, imaginary
     columns: Annotated[_Texts, _said("NAME=COLUMN ...", "recognised by their names")] = ()
     # units where the header has none, as frequency=Hz amplitude=mm (or ratio)
     units: Annotated[_Texts, _said("NAME=UNIT ...", "those of the header")] = ()

@@ -17,7 +17,7 @@ from vibrojax.ensemble.ranges import Range
 from vibrojax.explorer.explorer import Explorer
 from vibrojax.explorer.live_curve import CurveTracer
 from vibrojax.explorer.sliders import is_logarithmic
-from vibrojax.identification.curve_misfit import sensor_of
+from vibrojax.identification.as_measured import sensor_of
 from vibrojax.identification.fitted_data import described_amplitude
 from vibrojax.identification.sensor import Sensor
 from vibrojax.measured.curve import MeasuredCurve
@@ -114,7 +114,7 @@ def explore(
             described = described_amplitude(points[0])
             y_label = with_unit(described["long_name"], described["units"])
             sensor = sensor_of(points[0])
-    sensor = dataclasses.replace(sensor, with_force=True)
+    sensor = dataclasses.replace(sensor, with_force=True, with_phase=False)
     tracer = CurveTracer(
         make_system, named.fixed, axis, over.low, over.high, sensor, force, is_exact(sample)
     )

@@ -1,6 +1,7 @@
 """Distance of measured points from the response curves of many trial rigs at once."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,16 +12,35 @@ from vibrojax.branches.continuation import Ending
 from vibrojax.branches.over_range import scale_of, trace_over
 from vibrojax.branches.tracing import Traced
 from vibrojax.ensemble.slopes import WithSlopes
-from vibrojax.identification.nearest_point import Nearest, Target, nearest_points, settled
-from vibrojax.identification.sensor import Sensor
+from vibrojax.identification.as_measured import (
+    channels_of,
+    check_alike,
+    deviations_of,
+    drive_levels,
+    drive_of_rig,
+    order_of,
+    sensor_of,
+)
+from vibrojax.identification.first_guesses import (
+    Guesses,
+    Points,
+    at_crossings,
+    at_nearest_places,
+)
+from vibrojax.identification.nearest_point import WIDTH, Nearest, Target, nearest_points, settled
+from vibrojax.identification.sensor import seen_back, seen_from
 from vibrojax.identification.trial_rigs import (
     SAMPLES,
     WIDTHS,
     Curve,
     Maker,
+    at_level,
+    driven,
+    driven_as_measured,
     free_and_touching,
     frequency_path,
     observe_points,
+    together,
 )
 from vibrojax.measured.curve import MeasuredCurve
 from vibrojax.steady.batches import filled_up, in_batches, take
@@ -29,34 +49,19 @@ from vibrojax.steady.paths import FrequencyPath
 MOST_POINTS = 300
 LONGEST_STEP = 0.16
 """Along the curve: generous, since nearest points are solved for."""
+ALONE = (1,)
+"""Curves followed in one loop: several wait for the longest, and mostly there is but one."""
 MARGIN = 0.02
 """How far beyond the measured frequencies a curve is followed, relative."""
 FEW_ROUNDS, MANY_ROUNDS = 4, 30
 NEAR_ENOUGH, PRECISE = 1e-3, 1e-8
 """Last step to a nearest point, in a search and at its end."""
-CLOSE = 0.5
-"""Distance, in standard deviations, by which a polygon may mistake the nearest place."""
 HELD = 1e-7
 """Frequency scale that keeps a point at its frequency."""
 FAR_AWAY = 1e6
 """A gap that is never closed, m."""
 LOST = 1e3
 """Residual of every point of a rig without a curve, in standard deviations."""
-
-
-def _both(amplitude: np.ndarray | None, force: np.ndarray | None) -> np.ndarray:
-    return np.stack([c for c in (amplitude, force) if c is not None], axis=1)
-
-
-def sensor_of(measured: MeasuredCurve) -> Sensor:
-    """Return the sensor that shows what was measured."""
-    return Sensor(
-        quantity=measured.quantity if measured.amplitude is not None else None,
-        signal=measured.signal,
-        is_ratio=measured.is_ratio,
-        absolute=measured.frame == "absolute",
-        with_force=measured.contact_force is not None,
-    )
 
 
 class CurveMisfit:
@@ -67,6 +72,7 @@ class CurveMisfit:
     """
 
     def __init__(self, maker: Maker, repetitions: Sequence[MeasuredCurve], pointwise: bool = False):
+        check_alike(repetitions)
         first = repetitions[0]
         self.maker, self.pointwise = maker, pointwise
         self.unit = 1.0
@@ -75,9 +81,18 @@ class CurveMisfit:
         self.is_ratio = first.frequency_name == "frequency_ratio"
         self.frequency = np.stack([m.frequency for m in repetitions])
         self.direction = np.stack([m.direction for m in repetitions])
-        self.channels = np.stack([_both(m.amplitude, m.contact_force) for m in repetitions])
-        noise = [m.noise() for m in repetitions]
-        self.deviation = np.stack([_both(n.amplitude, n.contact_force) for n in noise])
+        self.channels = np.stack([channels_of(m) for m in repetitions])
+        self.deviation = np.stack([deviations_of(m) for m in repetitions])
+        self.order = order_of(first)
+        """Which derivative of what drives the rig was measured."""
+        self.drive, self.levels = None, None
+        """Drive of every point as measured; amplitudes of that kind at which curves are traced."""
+        self.rig_drive = None
+        """Drive of every point as the rig has it, N or m."""
+        if first.drive_amplitude is not None:
+            self.drive = np.stack([np.asarray(m.drive_amplitude) for m in repetitions])
+            self.levels = drive_levels(self.drive)
+            self.rig_drive = np.stack([np.asarray(drive_of_rig(m)) for m in repetitions])
         self.low = float(self.frequency.min()) * (1 - MARGIN)
         self.high = float(self.frequency.max()) * (1 + MARGIN)
 
@@ -92,6 +107,11 @@ class CurveMisfit:
         return self.points * (1 + self.sensor.channels)
 
     @property
+    def values(self) -> int:
+        """How many numbers were measured: a phase may be missing at some points."""
+        return round(np.isfinite(self.deviation).sum() / len(self.deviation))
+
+    @property
     def scale(self) -> float:
         """Change of frequency that counts as much as a motion changing by its size."""
         return scale_of(self.low, self.high, self.unit)
@@ -99,11 +119,26 @@ class CurveMisfit:
     def lanes(self, values: np.ndarray) -> WithSlopes:
         """Paths of the trial rigs with these numbers (lanes by names)."""
         index = filled_up(len(values), WIDTHS[-1])
-        made = self.maker.trials(frequency_path, self.is_ratio, values[index])
-        return take(WithSlopes(*jax.device_get(made)), slice(len(values)))
+        made, slopes = jax.device_get(
+            self.maker.trials(frequency_path, self.is_ratio, values[index])
+        )
+        changes = jax.tree.map(lambda a: bool(np.any(a)), slopes)
+        if any(jax.tree.leaves(changes)):  # no derivatives along what no number changes
+            slopes = eqx.filter(slopes, changes)
+        return take(WithSlopes(made, slopes), slice(len(values)))
 
     def curves(self, paths: FrequencyPath) -> list[Curve]:
-        """Follow the response curves of all rigs over the measured range.
+        """Follow the response curves of all rigs over the measured range, at every drive level."""
+        if self.levels is None:
+            return self._followed(paths)
+        count, lanes = len(self.levels), paths.unit.shape[0]
+        each = take(paths, np.repeat(np.arange(lanes), count))
+        found = self._followed(at_level(each, np.tile(self.levels, lanes), self.order))
+        starts = range(0, len(found), count)
+        return [together(found[k : k + count], self.levels) for k in starts]
+
+    def _followed(self, paths: FrequencyPath) -> list[Curve]:
+        """Follow the response curves of all paths over the measured range.
 
         From the end where there is no contact yet; where that does not get through, from the other
         one too.
@@ -127,7 +162,7 @@ class CurveMisfit:
                 longest=LONGEST_STEP,
                 samples=SAMPLES,
                 max_points=MOST_POINTS,
-                widths=WIDTHS,
+                widths=ALONE,
             )
 
         pieces = [[piece] for piece in trace(np.arange(lanes), from_high)]
@@ -152,63 +187,82 @@ class CurveMisfit:
         columns = frequency, channels, depth, continues
         return [Curve(*(c[lane == k] for c in columns)) for k in range(len(pieces))]
 
-    def _observed(self, paths: FrequencyPath, lane, depth, frequency) -> np.ndarray:
-        """Channels of some motions, each of its own lane."""
-        return in_batches(
-            lambda i: observe_points(take(paths, lane[i]), self.sensor, depth[i], frequency[i]),
-            len(lane),
-        )
+    def _observed(self, paths: FrequencyPath, lane, depth, frequency, drive=None) -> np.ndarray:
+        """Channels of some motions, each of its own lane, and its own drive where there is one."""
+
+        def at(i):
+            own = take(paths, lane[i])
+            own = own if drive is None else driven(own, drive[i])
+            return observe_points(own, self.sensor, depth[i], frequency[i])
+
+        return in_batches(at, len(lane))
 
     def nearest(
         self,
         lanes: WithSlopes,
-        curves: list[Curve],
+        starts: Sequence[Curve | Guesses],
         which: np.ndarray,
         frequency_scale: float,
         precisely: bool,
     ) -> tuple[np.ndarray, Nearest | None]:
-        """Find the nearest points; which rigs have a curve, and the points of those, in a row."""
-        have = np.flatnonzero([c.continues.any() for c in curves])
-        if not len(have):
-            return have, None
-        starts = [self._guesses(curves[k], int(which[k]), frequency_scale) for k in have]
-        lane = np.repeat(have, [len(start[0]) for start in starts])
-        point, depth, frequency = (np.concatenate(part) for part in zip(*starts, strict=True))
+        """Find the nearest points; return their rows (of lanes by measured points), and them.
+
+        They are looked for from the curve of each rig, or from guesses of some of them.
+        """
+        guesses = [
+            self.guesses(start, int(k), frequency_scale) if isinstance(start, Curve) else start
+            for start, k in zip(starts, which, strict=True)
+        ]
+        lane = np.repeat(np.arange(len(guesses)), [len(guess[0]) for guess in guesses])
+        if not len(lane):
+            return lane, None
+        point, depth, frequency = (np.concatenate(part) for part in zip(*guesses, strict=True))
         # Like with like: a batch takes as long as its longest contact.
         order = np.argsort(np.sum(np.fft.irfft(depth, SAMPLES) > 0, axis=(1, 2)), kind="stable")
         lane, point, depth, frequency = lane[order], point[order], depth[order], frequency[order]
         row = which[lane], point
+        wanted, phase = self._wanted(*row)
         target = Target(
             self.frequency[row],
-            self.channels[row],
+            wanted,
             np.full(len(lane), self.unit * (HELD if self.pointwise else frequency_scale)),
             self.deviation[row],
+            phase,
         )
+        drive = None if self.rig_drive is None else self.rig_drive[row]
         close = PRECISE if precisely else NEAR_ENOUGH
 
         def find(i, rounds=FEW_ROUNDS):
-            return self.find(lanes, lane[i], take(target, i), depth[i], frequency[i], rounds, close)
+            own = take(lanes, lane[i])
+            own = own if drive is None else driven_as_measured(own, drive[i])
+            return self.find(own, take(target, i), depth[i], frequency[i], rounds, close)
 
-        nearest = in_batches(find, len(lane))
+        nearest = in_batches(find, len(lane), WIDTH)
         slow = np.flatnonzero(~settled(nearest, close))
         # The few that creep, next to folds; a search does without the last of their way.
         if precisely and len(slow):
-            again = in_batches(lambda i: find(slow[i], MANY_ROUNDS), len(slow))
+            again = in_batches(lambda i: find(slow[i], MANY_ROUNDS), len(slow), WIDTH)
             for whole, part in zip(nearest, again, strict=True):
                 whole[slow] = part
         # Of several guesses the one that came nearest.
-        row = np.searchsorted(have, lane) * self.points + point
+        row = lane * self.points + point
         order = np.lexsort((np.sum(nearest.residual**2, axis=1), row))
-        _, first = np.unique(row[order], return_index=True)
-        return have, take(nearest, order[first])
+        rows, first = np.unique(row[order], return_index=True)
+        return rows, take(nearest, order[first])
 
-    def find(
-        self, lanes: WithSlopes, lane, target: Target, depth, frequency, rounds, close
-    ) -> Nearest:
-        """Find the nearest points from guesses of their motions and frequencies."""
+    def _wanted(self, *row: Any) -> tuple[np.ndarray, np.ndarray | None]:
+        """Channels of some points as they are seen from their phases, and these."""
+        channels, phase = self.channels[row], None
+        if self.sensor.with_phase:
+            phase = channels[..., 1]
+            channels = seen_from(self.sensor, channels, phase)
+        return channels, phase
+
+    def find(self, lanes: WithSlopes, target: Target, depth, frequency, rounds, close) -> Nearest:
+        """Find the nearest points of as many lanes from guesses of motions and frequencies."""
         return nearest_points(
-            take(lanes.made, lane),
-            take(lanes.slopes, lane),
+            lanes.made,
+            lanes.slopes,
             target,
             depth,
             frequency,
@@ -218,71 +272,14 @@ class CurveMisfit:
             close=jnp.asarray(close),
         )
 
-    def _guesses(
-        self, curve: Curve, which: int, frequency_scale: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """First guesses on the traced polygon: index of the measured point, motion, frequency."""
-        start = np.flatnonzero(curve.continues)
+    def guesses(self, curve: Curve, which: int, frequency_scale: float) -> Guesses:
+        """First guesses on the traced polygon."""
+        drive = None if self.drive is None else self.drive[which]
+        own = self.frequency[which], self.direction[which], *self._wanted(which)
+        points = Points(*own, self.deviation[which], drive, self.channels[which, :, 0])
         if self.pointwise:
-            point, place, share = self._branch_ends(curve, start, which)
-        else:
-            point, place, share = self._nearest_places(curve, start, which, frequency_scale)
-        first, way = start[place], share[:, None, None]
-        depth = (1 - way) * curve.depth[first] + way * curve.depth[first + 1]
-        frequency = (1 - share) * curve.frequency[first] + share * curve.frequency[first + 1]
-        return point, depth, self.frequency[which] if self.pointwise else frequency
-
-    def _nearest_places(
-        self, curve: Curve, start: np.ndarray, which: int, frequency_scale: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Nearest places: measured point, segment and way along it.
-
-        Where two places are about as near there are two guesses.
-        """
-        size = np.full((self.points, 1), frequency_scale * self.unit)
-        scale = np.concatenate([size, self.deviation[which]], axis=1)
-        whole = np.concatenate([curve.frequency[:, None], curve.channels], axis=1)
-        wanted = np.concatenate([self.frequency[which, :, None], self.channels[which]], axis=1)
-        # points, segments, coordinates
-        from_start = (wanted[:, None] - whole[None, start]) / scale[:, None]
-        along = (whole[start + 1] - whole[start])[None] / scale[:, None]
-        length2 = np.sum(along**2, axis=2)
-        share = np.sum(from_start * along, axis=2) / np.where(length2 > 0, length2, 1.0)
-        share = np.clip(share, 0.0, 1.0)
-        distance = np.sum((from_start - share[..., None] * along) ** 2, axis=2)
-        rows = np.arange(len(wanted))
-        best = np.argmin(distance, axis=1)
-        aside = np.pad(distance, ((0, 0), (1, 1)), constant_values=np.inf)
-        lowest = (distance <= aside[:, :-2]) & (distance <= aside[:, 2:])
-        elsewhere = lowest & (np.abs(np.arange(len(start)) - best[:, None]) > 1)
-        others = np.where(elsewhere, distance, np.inf)
-        second = np.argmin(others, axis=1)
-        close = np.sqrt(others[rows, second]) < 1.2 * np.sqrt(distance[rows, best]) + CLOSE
-        point = np.concatenate([rows, rows[close]])
-        place = np.concatenate([best, second[close]])
-        return point, place, share[point, place]
-
-    def _branch_ends(
-        self, curve: Curve, start: np.ndarray, which: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where the curve crosses the measured frequencies: as a sweep passes it.
-
-        Upwards the first crossing along the curve, downwards the last one, which is what a settled
-        sweep follows where the curve is an S; without a direction the one nearest in amplitude.
-        """
-        at, ahead = curve.frequency[start], curve.frequency[start + 1]
-        wanted = self.frequency[which, :, None]
-        crosses = (wanted - at) * (wanted - ahead) <= 0
-        share = np.clip((wanted - at) / np.where(ahead == at, 1.0, ahead - at), 0.0, 1.0)
-        first = np.argmax(crosses, axis=1)
-        last = crosses.shape[1] - 1 - np.argmax(crosses[:, ::-1], axis=1)
-        seen = (1 - share) * curve.channels[start, 0] + share * curve.channels[start + 1, 0]
-        off = np.where(crosses, np.abs(seen - self.channels[which, :, :1]), np.inf)
-        if at[0] > ahead[-1]:  # followed from its high end
-            first, last = last, first
-        direction, points = self.direction[which], np.arange(self.points)
-        place = np.select([direction > 0, direction < 0], [first, last], np.argmin(off, axis=1))
-        return points, place, share[points, place]
+            return at_crossings(points, curve)
+        return at_nearest_places(points, curve, self.sensor, frequency_scale * self.unit)
 
     def without_contact(self, values: np.ndarray, which: int) -> np.ndarray:
         """Residuals (rigs by measured numbers), point by point, of rigs without their stops."""
@@ -296,9 +293,23 @@ class CurveMisfit:
         depth = np.asarray(free_and_touching(take(away, index), low)[0])
         lane = np.repeat(np.arange(len(values)), self.points)
         frequency = np.tile(self.frequency[which], len(values))
-        seen = self._observed(away, lane, depth[lane], frequency)
+        drive = None if self.rig_drive is None else np.tile(self.rig_drive[which], len(values))
+        seen = self._observed(away, lane, depth[lane], frequency, drive)
         seen = seen.reshape(len(values), *self.channels[which].shape)
-        return ((self.channels[which] - seen) / self.deviation[which]).reshape(len(values), -1)
+        wanted, phase = self._wanted(which)
+        seen = seen_from(self.sensor, seen, phase)
+        return ((wanted - seen) / self.deviation[which]).reshape(len(values), -1)
+
+    def fitted(
+        self, residual: np.ndarray, which: int, frequency_scale: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Frequency and channels of the nearest points, from their residuals (by coordinates)."""
+        channels, phase = self._wanted(which)
+        off = np.where(np.isfinite(self.deviation[which]), self.deviation[which], 0.0)
+        channels = channels - residual[:, 1:] * off
+        scale = self.unit * (HELD if self.pointwise else frequency_scale)
+        frequency = self.frequency[which] - residual[:, 0] * scale
+        return frequency, channels if phase is None else seen_back(self.sensor, channels, phase)
 
     def residuals(
         self,
@@ -315,13 +326,14 @@ class CurveMisfit:
         """
         lanes = self.lanes(values)
         curves = self.curves(lanes.made)
-        usable, nearest = self.nearest(lanes, curves, which, frequency_scale, precisely)
-        rows, names = self.points * (1 + self.sensor.channels), len(self.maker.names)
-        residual = np.full((len(curves), rows), LOST)
-        derivative = np.zeros((len(curves), rows, names))
+        rows, nearest = self.nearest(lanes, curves, which, frequency_scale, precisely)
+        width, names = 1 + self.sensor.channels, len(self.maker.names)
+        residual = np.full((len(curves) * self.points, width), LOST)
+        derivative = np.zeros((*residual.shape, names))
         if nearest is not None:
-            residual[usable] = np.reshape(nearest.residual, (-1, rows))
-            derivative[usable] = np.reshape(nearest.derivative, (-1, rows, names))
+            residual[rows], derivative[rows] = nearest.residual, nearest.derivative
+        residual = residual.reshape(len(curves), -1)
+        derivative = derivative.reshape(*residual.shape, names)
         return self._with_jumps(lanes, curves, which, residual, derivative)
 
     def _with_jumps(self, lanes: WithSlopes, curves: list[Curve], which, residual, derivative):

@@ -5,11 +5,29 @@ import scipy
 
 from vibrojax.identification.trial_rigs import Curve
 from vibrojax.measured.curve import MeasuredCurve
+from vibrojax.measured.kinds import DRIVES
 from vibrojax.model.laws import linear_coefficients
 from vibrojax.model.systems import AbstractSystem
 
 UNLIKELY = 5e-3
 """Probability of a larger misfit by chance from which the model does not explain the data."""
+
+
+def used(measured: MeasuredCurve) -> list[str]:
+    """Say which phase and which drive of a curve a fit takes, and what they are taken to be."""
+    sentences = []
+    kind = measured.drive_signal or "force or displacement of the base"
+    if measured.phase is not None:
+        told = "" if measured.drive_signal else ", as no drive_signal says another"
+        sentences.append(f"The phase was fitted too: ahead of the {kind} that drives{told}.")
+    if measured.drive_amplitude is not None:
+        low, high = measured.drive_amplitude.min(), measured.drive_amplitude.max()
+        unit = f" {DRIVES[measured.drive_signal]}" if measured.drive_signal else ""
+        sentences.append(
+            f"Each point was compared at the drive that was measured there, {low:.4g} to "
+            f"{high:.4g}{unit}, in place of the rig's."
+        )
+    return sentences
 
 
 def early_jumps(measured: MeasuredCurve, curve: Curve, unit: float, tolerance: float) -> list[str]:
@@ -20,8 +38,10 @@ def early_jumps(measured: MeasuredCurve, curve: Curve, unit: float, tolerance: f
     sentences = []
     hertz = "" if measured.frequency_name == "frequency_ratio" else " Hz"
     for jump in measured.jumps():
-        way = jump.direction
-        turns = curve.frequency[curve.turning(way)]
+        way, own = jump.direction, curve
+        if measured.drive_amplitude is not None:
+            own = curve.at_drive(measured.drive_amplitude[jump.last])
+        turns = own.frequency[own.turning(way)]
         ahead = turns[way * (turns - jump.before) > 0]
         if not len(ahead):
             continue

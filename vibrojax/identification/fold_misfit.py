@@ -6,10 +6,12 @@ import numpy as np
 
 from vibrojax.ensemble.slopes import WithSlopes
 from vibrojax.identification.curve_misfit import LOST, CurveMisfit
-from vibrojax.identification.nearest_point import Target
+from vibrojax.identification.nearest_point import WIDTH, Target
+from vibrojax.identification.sensor import seen_from
 from vibrojax.identification.trial_rigs import Curve, Maker
-from vibrojax.measured.curve import Jump, MeasuredCurve
-from vibrojax.steady.batches import BATCH
+from vibrojax.measured.curve import MeasuredCurve
+from vibrojax.measured.jumps import Jump
+from vibrojax.steady.batches import take
 
 MASKED = 2
 """Points left out on each side of a jump, where jumps are put on the folds."""
@@ -58,14 +60,16 @@ class FoldMisfit(CurveMisfit):
         step = max(abs(jump.after - jump.before), 1e-4 * middle)
         if not len(turns):
             return LOST / 100, 0.0
-        at = np.full(BATCH, turns[np.argmin(np.abs(curve.frequency[turns] - middle))])
+        at = np.full(WIDTH, turns[np.argmin(np.abs(curve.frequency[turns] - middle))])
+        phase = curve.channels[at, 1] if self.sensor.with_phase else None
         target = Target(
-            np.full(BATCH, middle),
-            curve.channels[at],
-            np.full(BATCH, step),
-            np.ones((BATCH, self.sensor.channels)),
+            np.full(WIDTH, middle),
+            seen_from(self.sensor, curve.channels[at], phase),
+            np.full(WIDTH, step),
+            np.ones((WIDTH, self.sensor.channels)),
+            phase,
         )
         # No rounds: the derivative at the fold itself, where the frequency is an extreme.
-        here = np.full(BATCH, lane)
-        nearest = self.find(lanes, here, target, curve.depth[at], curve.frequency[at], 0, 0.0)
+        here = take(lanes, np.full(WIDTH, lane))
+        nearest = self.find(here, target, curve.depth[at], curve.frequency[at], 0, 0.0)
         return (middle - curve.frequency[at[0]]) / step, np.asarray(nearest.derivative)[0, 0]

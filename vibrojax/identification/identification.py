@@ -37,6 +37,7 @@ class Identification(Fit):
     def branch(self, measurement: int = 0) -> Branch:
         """Follow the fitted curve by `continue_response`: exact, with its stability.
 
+        It is that at the drive of the rig's function, also where another was measured.
         `measurement` counts from 0, in the order given. Raises `ValueError` when there is none, or
         it is a history, which has no curve.
         """

@@ -129,7 +129,7 @@ class LevenbergMarquardt:
         lanes, unknowns = start.shape
         best = np.clip(start, low, high)
         cost, done = np.full(lanes, np.inf), np.zeros(lanes, bool)
-        count, idle = np.zeros((2, lanes), int)
+        count, idle, failed = np.zeros((3, lanes), int)
         # Filled up with the last lane, so that the number of starts compiles nothing anew.
         full = best[filled_up(lanes, WIDTH)]
         size = len(full), unknowns + 1
@@ -138,11 +138,15 @@ class LevenbergMarquardt:
         state = _begin(solver, point, jax.tree.map(jnp.asarray, args))
         for _ in range(self.most_steps):
             asked = np.clip(np.asarray(state.y_eval), low, high)
+            # On a ridge with a kink the damped step turns, but hardly becomes shorter.
+            start = best[filled_up(lanes, WIDTH)]
+            asked = start + (asked - start) / 2.0 ** failed[filled_up(lanes, WIDTH), None]
             state = eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(asked))
             active = np.flatnonzero(~done)
             residual, jacobian = evaluate(asked[active], active)
             size = np.sum(residual**2, axis=1)
             better = size < cost[active]
+            failed[active] = np.where(better, 0, failed[active] + 1)
             gained = cost[active] - size > tolerance
             idle[active] = np.where(gained, 0, idle[active] + 1)
             best[active[better]] = asked[active[better]]

@@ -15,17 +15,18 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.branches.continuation import dot
-from vibrojax.identification.sensor import Sensor, observe
+from vibrojax.identification.sensor import Sensor, observe, seen_from
 from vibrojax.steady.condensed import (
     balance,
     condensed_problem,
-    differentiate,
     solve_condensed,
 )
 from vibrojax.steady.paths import FrequencyPath, Place
 
 lax = jax.lax
 
+WIDTH = 32
+"""Points in one loop: few, as all go on until the last is there, and what is in hand is near."""
 LONGEST = 0.05
 """Longest step along the curve in one round, in the arclength of the continuation."""
 CONVERGED = 1e-3
@@ -39,6 +40,8 @@ class Target(NamedTuple):
     channels: Float[AnyArray, "... channels"]
     frequency_scale: Float[AnyArray, "..."]
     deviation: Float[AnyArray, "... channels"]
+    phase: Float[AnyArray, "..."] | None = None
+    """Phase (rad) from which the channels are seen; None where none is measured."""
 
 
 class Nearest(NamedTuple):
@@ -53,6 +56,11 @@ class Nearest(NamedTuple):
     """Measured minus nearest, in units of the scales: frequency first, then the channels."""
     derivative: Float[Array, "points coordinates numbers"]
     """Of the residual in the numbers sought, the nearest point following."""
+    depth: Complex[Array, "points stops harmonics"]
+    frequency: Float[Array, " points"]
+    depth_slope: Complex[Array, "points numbers stops harmonics"]
+    """Derivative of the motion in the numbers, and of its frequency: where the point goes."""
+    frequency_slope: Float[Array, "points numbers"]
 
 
 def settled(nearest: Any, close: Any) -> Any:
@@ -82,32 +90,45 @@ def nearest_points(
     """
     samples = 2 * (depth.shape[-1] - 1)
     number = jax.tree.leaves(slopes)[0].shape[1]
+    still = jnp.zeros(number)
 
-    def linearise(path, slopes, depth, frequency):
-        place = Place(path.equations, path.drive, frequency * path.unit)
-
-        def at(place):
-            problem = condensed_problem(
-                place.equations, place.drive, place.angular_frequency, samples=samples
-            )
-            per_second = samples * place.angular_frequency / (2 * jnp.pi)
-            here = balance(problem, depth, per_second, samples)
-            channels = observe(sensor, place, problem, here.force, depth)
-            return (here.residual, channels), (here, problem)
-
-        # How the place moves with the frequency, then with the numbers.
-        equations, drive = jax.tree.map(jnp.zeros_like, (path.equations, path.drive))
-        ways = jax.tree.map(
-            lambda zero, rows: jnp.concatenate([zero[None], rows]),
-            Place(equations, drive, path.unit),
-            Place(slopes.equations, slopes.drive, frequency * slopes.unit),
+    def at(path, slopes, phase, depth, frequency, numbers):
+        """Residual of the balance and what a sensor sees, the numbers changed by so much."""
+        path = jax.tree.map(
+            lambda slope, value: (
+                value if slope is None else value + jnp.tensordot(numbers, slope, 1)
+            ),
+            *(slopes, path),
+            is_leaf=lambda leaf: leaf is None,
         )
-        (residual, channels), linear, (here, problem) = jax.linearize(at, place, has_aux=True)
-        by_way, seen = jax.vmap(linear)(ways)
-        right = -jnp.concatenate([residual[None], by_way])
-        return place, problem, here, right, channels, seen
+        place = Place(path.equations, path.drive, frequency * path.unit)
+        problem = condensed_problem(
+            place.equations, place.drive, place.angular_frequency, samples=samples
+        )
+        per_second = samples * place.angular_frequency / (2 * jnp.pi)
+        here = balance(problem, depth, per_second, samples)
+        channels = observe(sensor, place, problem, here.force, depth)
+        return here.residual, seen_from(sensor, channels, phase, jnp), (problem, here)
 
-    def advance(target, depth, frequency, last, place, problem, here, solved, channels, seen):
+    def linearise(path, slopes, phase, depth, frequency):
+        def of(depth, frequency, numbers):
+            return at(path, slopes, phase, depth, frequency, numbers)
+
+        # Few channels and many motions: backwards what is seen, forwards what is out of balance.
+        channels, pull, (problem, here) = jax.vjp(
+            lambda *now: of(*now)[1:], depth, frequency, still, has_aux=True
+        )
+        seen = jax.vmap(pull)(jnp.eye(channels.size))
+        residual, by_frequency = jax.jvp(
+            lambda f: of(depth, f, still)[0], (frequency,), (jnp.ones(()),)
+        )
+        by_number = jax.vmap(
+            lambda way: jax.jvp(lambda n: of(depth, frequency, n)[0], (still,), (way,))[1]
+        )(jnp.eye(number))
+        right = -jnp.concatenate([jnp.stack([residual, by_frequency]), by_number])
+        return problem, here, right, channels, seen
+
+    def advance(target, depth, frequency, last, lost, solved, channels, seen):
         correction, direction, by_numbers = solved[0], solved[1], solved[2:]
         size2 = dot(depth, depth)
         length2 = dot(direction, direction) / size2 + 1 / scale**2
@@ -118,20 +139,9 @@ def nearest_points(
         across = across + direction * shifts[:, None, None]
         changes = jnp.concatenate([across, direction[None] * unit])
         shifts = jnp.append(shifts, unit)
-
-        def looks(change):
-            """Change of the channels with the motion."""
-            both = jnp.stack([change, differentiate(change, samples)])
-            value, rate = jnp.fft.irfft(both, samples)
-            force = jnp.fft.rfft(here.stiffness * value + here.damping * rate)
-            return jax.jvp(
-                lambda d, f: observe(sensor, place, problem, f, d),
-                (depth, here.force),
-                (change, force),
-            )[1]
-
-        rows = jax.vmap(looks)(changes) + seen[0] * shifts[:, None]
-        rows = rows.at[1:-1].add(seen[1:])
+        by_depth, by_frequency, by_number = seen
+        rows = jnp.einsum("nak,cak->nc", changes, by_depth).real + shifts[:, None] * by_frequency
+        rows = rows.at[1:-1].add(by_number.T)
 
         def scaled(frequencies, values):
             first = frequencies / target.frequency_scale
@@ -149,48 +159,49 @@ def nearest_points(
         normal = line / jnp.linalg.norm(line)
         derivative = -lines[1:-1].T
         derivative = derivative - normal[:, None] * (normal @ derivative)
-        return (
-            depth + across[0] + step * changes[-1],
-            frequency + shifts[0] + step * unit,
-            newton,
-            way,
-            step,
+        follows = -(lines[1:-1] @ line) / (line @ line)
+        return Nearest(
+            newton=newton,
+            way=way,
+            step=step,
+            found=~lost,
             # As it will be after this step, to first order.
-            residual - lines[0] - way * line,
-            derivative,
+            residual=residual - lines[0] - way * line,
+            derivative=derivative,
+            depth=depth + across[0] + step * changes[-1],
+            frequency=frequency + shifts[0] + step * unit,
+            depth_slope=across[1:] + follows[:, None, None] * changes[-1],
+            frequency_slope=shifts[1:-1] + follows * unit,
         )
 
     def turn(carry):
-        k, depth, frequency, last = carry[:4]
+        k, last = carry
         # In the last round what did not get there goes back to its guess.
         lost = (k == rounds) & ~(last.newton < CONVERGED)
-        depth = jnp.where(lost[:, None, None], guess[0], depth)
-        frequency = jnp.where(lost, guess[1], frequency)
-        place, problem, here, right, channels, seen = jax.vmap(linearise)(
-            paths, slopes, depth, frequency
+        at_depth = jnp.where(lost[:, None, None], depth, last.depth)
+        at_frequency = jnp.where(lost, frequency, last.frequency)
+        problem, here, right, channels, seen = jax.vmap(linearise)(
+            paths, slopes, target.phase, at_depth, at_frequency
         )
         touching = (here.stiffness != 0) | (here.damping != 0)
         needed = jnp.max(jnp.sum(touching, axis=(1, 2)))
         level = jnp.searchsorted(jnp.asarray(sizes), needed)
         solved = lax.switch(level, solvers, problem, here, right)
-        depth, frequency, newton, way, step, *rest = jax.vmap(advance)(
-            target, depth, frequency, last, place, problem, here, solved, channels, seen
+        return k + 1, jax.vmap(advance)(
+            target, at_depth, at_frequency, last, lost, solved, channels, seen
         )
-        there = Nearest(newton, way, step, ~lost, *rest)
-        return k + 1, depth, frequency, there
 
     unknowns = depth.shape[1] * samples
-    sizes = (*(unknowns * k // 16 for k in (1, 5, 9)), unknowns)
+    sizes = (*(unknowns * k // 16 for k in (1, 3, 6, 9)), unknowns)
     solvers = [
         jax.vmap(lambda p, a, r, size=size: solve_condensed(p, a, r, samples, size))
         for size in sizes
     ]
 
     def unfinished(carry):
-        return (carry[0] <= rounds) & ~jnp.all(settled(carry[3], close))
+        return (carry[0] <= rounds) & ~jnp.all(settled(carry[1], close))
 
     points, size = frequency.shape[0], 1 + sensor.channels
-    guess = (depth, frequency)
     far = jnp.full(points, jnp.inf)
     first = Nearest(
         newton=far,
@@ -199,5 +210,9 @@ def nearest_points(
         found=jnp.zeros(points, bool),
         residual=jnp.zeros((points, size)),
         derivative=jnp.zeros((points, size, number)),
+        depth=jnp.asarray(depth),
+        frequency=jnp.asarray(frequency),
+        depth_slope=jnp.zeros((points, number, *depth.shape[1:]), complex),
+        frequency_slope=jnp.zeros((points, number)),
     )
-    return lax.while_loop(unfinished, turn, (0, depth, frequency, first))[3]
+    return lax.while_loop(unfinished, turn, (0, first))[1]

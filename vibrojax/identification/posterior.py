@@ -14,6 +14,7 @@ import scipy
 
 from vibrojax._tools.checks import check_count, check_seed
 from vibrojax.identification.fit import Fit
+from vibrojax.identification.trail import Trail
 
 if TYPE_CHECKING:
     import xarray
@@ -91,11 +92,15 @@ def sample(fit: Fit, draws: int, *, seed: int = 0) -> Posterior:
     points = points[np.all((points >= low) & (points <= high), axis=1)]
     proposal = np.atleast_1d(student.logpdf(points))
     excess = max(1.0, fit.reduced_chi_square)
-    cost = np.zeros(0)
-    for some in np.split(points, range(BATCH, len(points), BATCH)):
-        which = np.full(len(some), fit.repetition)
-        residual, _ = fit.problem.evaluate(some, which, fit.frequency_scale)
+    # All go on from the minimum, the first of them.
+    cost, trail = np.zeros(0), Trail()
+    for some in (fit.point[None], *np.split(points, range(BATCH, len(points), BATCH))):
+        which, one = np.full(len(some), fit.repetition), np.zeros(len(some), int)
+        residual, _ = fit.problem.evaluate(
+            some, which, fit.frequency_scale, trail=trail, starts=one
+        )
         cost = np.append(cost, np.sum(residual**2, axis=1))
+    cost = cost[1:]
     target = -(cost - fit.chi_square) / 2 / excess
     for k, c in enumerate(fit.problem.coordinates):
         if c.kind == "asinh":  # a uniform prior in the number, as its interval has it

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from vibrojax._tools.checks import check_choice, check_names
@@ -21,6 +22,7 @@ from vibrojax.identification.record_numbers import (
     record_numbers_in,
     size_of,
 )
+from vibrojax.identification.trail import Trail, residuals_along
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
 from vibrojax.measured.history import MeasuredHistory
@@ -215,11 +217,13 @@ class Problem:
         maker = Maker(self.make, tuple(self.unknowns[k]), fixed, static)
         if isinstance(same[0], MeasuredHistory):
             return HistoryMisfit(maker, same)
-        check_drive(sample)
+        _check_drive(sample, same[0], self.objective)
         _check_signal(sample, same[0])
         pointwise = self.objective != "distance"
         misfit = (FoldMisfit if self.objective == "folds" else CurveMisfit)(maker, same, pointwise)
-        paths = misfit.lanes(np.array([[guess[i] for i in self.unknowns[k].values()]])).made
+        paths, slopes = misfit.lanes(np.array([[guess[i] for i in self.unknowns[k].values()]]))
+        if misfit.drive is not None:
+            _check_not_fitted(maker.names, slopes)
         natural = np.asarray(paths.equations.angular_frequency)[0] / float(paths.unit[0])
         if not misfit.is_ratio:
             misfit.unit = float(natural[0])
@@ -278,18 +282,28 @@ class Problem:
         frequency_scale: float,
         *,
         precisely: bool = False,
+        trail: Trail | None = None,
+        starts: Sequence[int] | np.ndarray = (),
         shifts: dict[int, np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and their derivatives in the coordinates; `which`: repetition of each lane.
 
-        `shifts`: limits (lanes, 2) of those of some histories, by measurement.
+        With a `trail` the lanes of curves go on from what it keeps of their `starts`. `shifts`:
+        limits (lanes, 2) of those of some histories, by measurement.
         """
         slopes, residuals, jacobians = self.slopes(points), [], []
         for k, misfit in enumerate(self.misfits):
-            own = {"shifts": shifts[k]} if shifts and k in shifts else {}
-            residual, derivative = misfit.residuals(
-                self.of_measurement(k, points), which, frequency_scale, precisely=precisely, **own
-            )
+            numbers = self.of_measurement(k, points)
+            if trail is not None and isinstance(misfit, CurveMisfit) and not misfit.pointwise:
+                keys = [(k, int(start)) for start in starts]
+                residual, derivative = residuals_along(
+                    trail, keys, misfit, numbers, which, frequency_scale, precisely
+                )
+            else:
+                limits = {"shifts": shifts[k]} if shifts and k in shifts else {}
+                residual, derivative = misfit.residuals(
+                    numbers, which, frequency_scale, precisely=precisely, **limits
+                )
             jacobian = np.zeros((*residual.shape, len(self.coordinates)))
             own = list(self.unknowns[k].values())
             jacobian[:, :, own] = derivative * slopes[:, None, own]
@@ -304,18 +318,53 @@ class Problem:
             return
         # Numbers a little off: those of the stops change nothing without contact.
         points = self.guess + np.eye(len(self.coordinates) + 1, len(self.coordinates), -1) * 1e-2
+
+        def without(points: np.ndarray, which: int) -> np.ndarray:
+            numbers = [(self.of_measurement(k, points), m) for k, m in curves]
+            return np.concatenate([m.without_contact(n, which) for n, m in numbers], axis=1)
+
         for which in range(repetitions):
-            residual = np.concatenate(
-                [m.without_contact(self.of_measurement(k, points), which) for k, m in curves], 1
-            )
-            squares, count = float(residual[0] @ residual[0]), residual.shape[1]
-            if squares < 1.5 * count and np.abs(residual[1:] - residual[0]).max() < 1e-9:
+            (residual,) = without(points[:1], which)
+            squares, count = float(residual @ residual), len(residual)
+            if squares > 1.5 * count:
+                continue
+            if np.abs(without(points, which) - residual).max() < 1e-9:
                 raise ValueError(
                     "The measured curve never touches the stop: the beam without contact explains "
                     f"it (reduced chi-square {squares / count:.3g}), so contact cannot be "
                     "identified from it. Drive harder, close the gap, or measure nearer to "
                     "resonance."
                 )
+
+
+def _check_drive(system: AbstractSystem, measured: MeasuredCurve, objective: str) -> None:
+    """Refuse a system that nothing drives, or not what was measured."""
+    name, drive, of_base = measured.drive_signal, system.drive, system.drive.signal_factor < 0
+    if name and (name == "force") == of_base:
+        kind = "the base moves" if of_base else "a force drives"
+        raise ValueError(
+            f"drive_signal = {name!r} was measured, but {kind} the system, {drive!r}. Give the "
+            "system the drive that was measured, or leave drive_amplitude and drive_signal out "
+            "(columns=dict(drive=None))."
+        )
+    if measured.drive_amplitude is None or not drive.signal_factor:
+        check_drive(system)
+    elif objective != "distance":
+        raise ValueError(
+            f"objective = {objective!r} takes the drive to be the same at all points, but the "
+            "curve has drive_amplitude. Use objective='distance', or leave it out."
+        )
+
+
+def _check_not_fitted(names: tuple[str, ...], slopes: Any) -> None:
+    """Refuse a number to fit that does nothing but drive, where the drive was measured."""
+    leaves = jax.tree.leaves((slopes.equations, slopes.unit))
+    for k, name in enumerate(names):
+        if not any(np.any(leaf[:, k]) for leaf in leaves):
+            raise ValueError(
+                f"{name} changes nothing but the drive of the system, which was measured "
+                "(drive_amplitude). Leave one of the two out."
+            )
 
 
 def _check_signal(system: AbstractSystem, measured: MeasuredCurve) -> None:

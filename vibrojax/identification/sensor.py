@@ -1,17 +1,19 @@
 """What a sensor shows of a balanced motion: one number per channel, as it stands on its axis."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from vibrojax.measured.kinds import ORDERS
 from vibrojax.model.drives import BaseMotion
 from vibrojax.model.first_order import without_memory
 from vibrojax.steady.condensed import Problem, cell_average, differentiate
 from vibrojax.steady.paths import Place
 from vibrojax.stepping.cubic import cubic_maximum
 
-ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2, "voltage": 0, "power": 0}
 FINER = 2
 """How many times finer than the balance a waveform is looked at."""
 
@@ -33,11 +35,18 @@ class Sensor(eqx.Module):
     """In space, not relative to the base."""
     with_force: bool = eqx.field(static=True, default=False)
     """Whether the largest contact force (N) is measured too, as the last channel."""
+    with_phase: bool = eqx.field(static=True, default=False)
+    """Whether the phase is measured too, as the second channel: see `seen_from`."""
 
     @property
     def channels(self) -> int:
         """How many numbers there are per point."""
-        return (self.quantity is not None) + self.with_force
+        return (self.quantity is not None) + self.with_phase + self.with_force
+
+    @property
+    def is_complex(self) -> bool:
+        """Whether the first two channels are a complex amplitude: its size and its angle."""
+        return self.with_phase and self.quantity == "first_harmonic"
 
 
 def observe(
@@ -47,21 +56,62 @@ def observe(
     force: Complex[Array, "stops harmonics"],
     depth: Complex[Array, "stops harmonics"],
 ) -> Float[Array, " channels"]:
-    """Read the channels of a sensor off a balanced motion and its averaged contact force."""
+    """Read the channels of a sensor off a balanced motion and its averaged contact force.
+
+    A phase is the angle (rad) by which the first harmonic leads the force or the displacement of
+    the base.
+    """
     count = depth.shape[-1]
     samples = 2 * (count - 1)
     average = cell_average(samples, count)
     values = []
     if sensor.quantity is not None:
         push = jnp.einsum("bk,bk->k", problem.receptance.response_from_force, force / average)
-        values.append(_shown(sensor, place, problem.response_drive + push))
+        spectrum = _signal(sensor, place, problem.response_drive + push)
+        values.append(_shown(sensor, spectrum))
+        if sensor.with_phase:
+            values.append(jnp.angle(1j * spectrum[1]))  # the drive is a sine
     if sensor.with_force:
         per_second = samples * place.angular_frequency / (2 * jnp.pi)
         values.append(_largest_force(place, depth / average, per_second))
     return jnp.stack(values)
 
 
-def _shown(sensor: Sensor, place: Place, spectrum: Complex[Array, " harmonics"]):
+def seen_from(sensor: Sensor, channels: Any, phase: Any, xp: Any = np) -> Any:
+    """Return channels as a point of a measured phase (rad) has them, the first two turned by it.
+
+    Of a complex amplitude what lies along the measured one and across it, so that noise is alike in
+    both; of other quantities the angle (rad) ahead of the measured one. Where the phase is NaN, the
+    size and 0. Without a phase all stay as they are.
+    """
+    if not sensor.with_phase:
+        return channels
+    size, angle = channels[..., 0], channels[..., 1] - phase
+    angle = xp.where(xp.isnan(phase), 0.0, angle)
+    if sensor.is_complex:
+        pair = [size * xp.cos(angle), size * xp.sin(angle)]
+    else:
+        pair = [size + 0 * angle, wrapped(angle, xp)]
+    rest = xp.broadcast_to(channels[..., 2:], (*angle.shape, channels.shape[-1] - 2))
+    return xp.concatenate([xp.stack(pair, axis=-1), rest], axis=-1)
+
+
+def seen_back(sensor: Sensor, channels: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """Undo `seen_from`."""
+    size, angle = channels[..., 0], channels[..., 1]
+    if sensor.is_complex:
+        size, angle = np.hypot(size, angle), np.arctan2(angle, size)
+    pair = np.stack([size, angle + phase], axis=-1)
+    return np.concatenate([pair, channels[..., 2:]], axis=-1)
+
+
+def wrapped(angle: Any, xp: Any = np) -> Any:
+    """Return an angle (rad) within half a turn of 0."""
+    return angle - 2 * np.pi * xp.round(angle / (2 * np.pi))
+
+
+def _signal(sensor: Sensor, place: Place, spectrum: Complex[Array, " harmonics"]):
+    """Spectrum of what is measured of the displacement reported."""
     samples = 2 * (spectrum.size - 1)
     if sensor.absolute and isinstance(place.drive, BaseMotion):
         spectrum = spectrum.at[1].add(-0.5j * place.drive.amplitude * samples)
@@ -69,6 +119,11 @@ def _shown(sensor: Sensor, place: Place, spectrum: Complex[Array, " harmonics"])
     spectrum = spectrum * rates ** ORDERS[sensor.signal]
     if sensor.is_ratio:
         spectrum = spectrum / place.drive.reference[0]
+    return spectrum
+
+
+def _shown(sensor: Sensor, spectrum: Complex[Array, " harmonics"]):
+    samples = 2 * (spectrum.size - 1)
     if sensor.quantity == "first_harmonic":
         return 2 / samples * jnp.abs(spectrum[1])
     # The highest harmonic has no phase at the samples: it is left out.

@@ -1,14 +1,17 @@
 """Trial rigs, many at a time: their paths, what a sensor sees of them, and their curves."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from vibrojax._tools.compiled import compiled
+from vibrojax._tools.types import AnyArray
 from vibrojax.branches.along import check_equations
 from vibrojax.branches.tracing import free_motion
 from vibrojax.ensemble.slopes import WithSlopes, systems_with_slopes, with_slopes
@@ -20,7 +23,7 @@ from vibrojax.steady.paths import FrequencyPath, Place
 
 SAMPLES = 128
 WIDTHS = (8,)
-"""Rigs that are followed side by side in one loop."""
+"""Rigs that are made side by side."""
 
 
 class Curve(NamedTuple):
@@ -31,6 +34,16 @@ class Curve(NamedTuple):
     depth: np.ndarray
     continues: np.ndarray
     """Whether the next point continues this one."""
+    drive: np.ndarray | None = None
+    """Drive amplitude of every point, as it was measured; None: that of the rig."""
+
+    def at_drive(self, amplitude: float) -> "Curve":
+        """Return the part that was traced at about this drive amplitude."""
+        if self.drive is None or not len(self.drive):
+            return self
+        nearest = self.drive[np.argmin(np.abs(self.drive - amplitude))]
+        own = self.drive == nearest
+        return Curve(*(column[own] for column in self if column is not None))
 
     def turning(self, direction: int) -> np.ndarray:
         """Whether each point is a fold at which a sweep in this direction (1 or -1) jumps."""
@@ -50,6 +63,13 @@ class Curve(NamedTuple):
         return change * forth < 0
 
 
+def together(curves: Sequence[Curve], drive: np.ndarray) -> Curve:
+    """Return curves that were traced at some drive amplitudes as one."""
+    columns = zip(*(curve[:4] for curve in curves), strict=True)
+    counts = [len(curve.frequency) for curve in curves]
+    return Curve(*map(np.concatenate, columns), drive=np.repeat(drive, counts))
+
+
 @dataclass(frozen=True)
 class Maker:
     """What makes trial rigs: the user's function, the numbers sought and those held."""
@@ -67,8 +87,14 @@ class Maker:
         numbers |= dict(zip(self.names, np.asarray(values, float).T, strict=True))
         apart = record_numbers_in(self.make, self.names)
         make: Any = RecordedBy(self.make, apart) if apart else self.make
-        made = systems_with_slopes(make, self.static, self.names, numbers)
-        return _read(read, how, *made, tuple(jnp.asarray(part) for part in own))
+        made, slopes = jax.device_get(systems_with_slopes(make, self.static, self.names, numbers))
+        # What is the same in all rigs, as the modes of a beam whose stop is sought, is read once.
+        moves = jax.tree.map(lambda a, b: bool(np.any(b) or np.any(a != a[:1])), made, slopes)
+        if not any(jax.tree.leaves(moves)):
+            moves = True
+        moving, still = eqx.partition(made, moves)
+        still = jax.tree.map(lambda a: a[0], still)
+        return _read(read, how, still, moving, eqx.filter(slopes, moves), own)
 
     def system(self, values: Any) -> AbstractSystem:
         """Make one rig."""
@@ -79,11 +105,11 @@ class Maker:
 
 
 @compiled(lightly=True)
-def _read(read, how, systems, slopes, own) -> WithSlopes:
-    def one(system, slopes, own):
-        return with_slopes(lambda system: read(system, how, *own), system, slopes)
+def _read(read, how, still, moving, slopes, own) -> WithSlopes:
+    def one(moving, slopes, own):
+        return with_slopes(lambda m: read(eqx.combine(m, still), how, *own), moving, slopes)
 
-    return jax.vmap(one)(systems, slopes, own)
+    return jax.vmap(one)(moving, slopes, own)
 
 
 def frequency_path(system: AbstractSystem, is_ratio: bool) -> FrequencyPath:
@@ -96,13 +122,50 @@ def frequency_path(system: AbstractSystem, is_ratio: bool) -> FrequencyPath:
     return FrequencyPath(linear, system.drive, unit, None)
 
 
+class LevelPath(FrequencyPath):
+    """Along the drive frequency at a velocity or acceleration of the base that stays the same."""
+
+    level: Float[AnyArray, "..."]
+    """Its amplitude, m/s or m/s2."""
+    order: int = eqx.field(static=True)
+    """Which derivative of the displacement it is."""
+
+    def at(self, parameter: Float[Array, ""]) -> Place:
+        """Return the same system at another frequency, the displacement of the base with it."""
+        place = super().at(parameter)
+        amplitude = self.level / place.angular_frequency**self.order
+        return Place(place.equations, place.drive.with_amplitude(amplitude), parameter * self.unit)
+
+
+def at_level(paths: FrequencyPath, amplitude: np.ndarray, order: int) -> FrequencyPath:
+    """Return the paths of some lanes at other drive amplitudes (lanes).
+
+    They are those of the `order`-th derivative of what drives the rig.
+    """
+    if order == 0:
+        return driven(paths, amplitude)
+    return LevelPath(paths.equations, paths.drive, paths.unit, None, amplitude, order)
+
+
+def driven(paths: FrequencyPath, amplitude: np.ndarray) -> FrequencyPath:
+    """Return the paths of some lanes at other drive amplitudes (lanes), m or N."""
+    return eqx.tree_at(lambda p: p.drive, paths, paths.drive.with_amplitude(amplitude))
+
+
+def driven_as_measured(lanes: WithSlopes, amplitude: np.ndarray) -> WithSlopes:
+    """Return paths at other drive amplitudes, which change with no number."""
+    still = jax.tree.map(lambda _: None, lanes.slopes.drive)
+    slopes = eqx.tree_at(lambda p: p.drive, lanes.slopes, still)
+    return WithSlopes(driven(lanes.made, amplitude), slopes)
+
+
 @compiled
 def observe_points(paths, sensor, depth, frequency):
     """Channels of a sensor for some motions, each of its own path."""
     samples = 2 * (depth.shape[-1] - 1)
 
     def one(path, depth, frequency):
-        place = Place(path.equations, path.drive, frequency * path.unit)
+        place = path.at(frequency)
         w = place.angular_frequency
         problem = condensed_problem(place.equations, place.drive, w, samples=samples)
         at = balance(problem, depth, samples * w / (2 * jnp.pi), samples)

@@ -9,6 +9,7 @@ import numpy as np
 
 from vibrojax._tools.checks import check_names
 from vibrojax._tools.described import in_short
+from vibrojax.identification.as_measured import channels_of, deviations_of, sensor_of
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.fit import Fit
 from vibrojax.measured.curve import MeasuredCurve
@@ -103,13 +104,19 @@ def what_next(fit: Fit, name: str, **changes: Any) -> WhatNext:
 
 
 def _noise(measured: MeasuredCurve) -> np.ndarray:
-    """Relative deviation of the channels, as it was in the measurement."""
-    noise, shares = measured.noise(), []
-    for channel in ("amplitude", "contact_force"):
-        values, deviation = getattr(measured, channel), getattr(noise, channel)
-        if values is not None and deviation is not None:
-            shares.append(np.median(deviation[values > 0] / values[values > 0]))
-    return np.array(shares)
+    """Deviation of the channels over their sizes, as it was in the measurement."""
+    deviation, size = deviations_of(measured), _sizes(measured, channels_of(measured))
+    known = (size > 0) & np.isfinite(deviation)
+    pairs = zip(deviation.T, size.T, known.T, strict=True)
+    return np.array([np.median(d[k] / s[k]) for d, s, k in pairs])
+
+
+def _sizes(measured: MeasuredCurve, channels: np.ndarray) -> np.ndarray:
+    """What deviations of channels are in proportion to; that of an angle is the same anywhere."""
+    sizes = np.abs(channels)
+    if measured.phase is not None:
+        sizes[:, 1] = sizes[:, 0] if sensor_of(measured).is_complex else 1.0
+    return sizes
 
 
 def _slopes(
@@ -123,13 +130,19 @@ def _slopes(
     measured: Any = fit.measured[k]
     trial = CurveMisfit(maker, [measured])
     trial.unit = misfit.unit
+    if trial.levels is not None:  # one curve: at the drive that was usual
+        trial.levels = np.median(measured.drive_amplitude, keepdims=True)
     lanes = trial.lanes(fit.problem.of_measurement(k, fit.point[None]))
     curve = trial.curves(lanes.made)[0]
     if len(curve.frequency) < 2:
         return
     # The points of the curve take the place of the measured ones: distance 0, the same slopes.
     trial.frequency, trial.channels = curve.frequency[None], curve.channels[None]
-    trial.deviation = np.maximum(noise * curve.channels, 1e-3 * curve.channels.max(axis=0))[None]
+    if curve.drive is not None:
+        rate = 2 * np.pi * curve.frequency if trial.order else 1.0
+        trial.drive, trial.rig_drive = curve.drive[None], (curve.drive / rate**trial.order)[None]
+    sizes = _sizes(measured, curve.channels)
+    trial.deviation = np.maximum(noise * sizes, 1e-3 * sizes.max(axis=0))[None]
     _, near = trial.nearest(lanes, [curve], np.zeros(1, int), fit.frequency_scale, False)
     assert near is not None
     change = fit.problem.slopes(fit.point)

@@ -85,9 +85,10 @@ def match_columns(
         if len(fits) == 1:
             found[key] = fits[0]
     if forces and "contact_force" not in {*given, *found}:
+        drive = f"columns=dict(drive={forces[0]!r}) for that of the drive, " * ("drive" in patterns)
         raise ValueError(
             f"Column {forces[0]!r} may be the contact force or the force of the drive. Say which: "
-            f"columns=dict(contact_force={forces[0]!r}) takes it for the contact force, "
+            f"columns=dict(contact_force={forces[0]!r}) takes it for the contact force, {drive}"
             "columns=dict(contact_force=None) leaves it out."
         )
     return found

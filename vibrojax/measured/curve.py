@@ -2,60 +2,29 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from vibrojax._tools.checks import check_choice
 from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.measured.cells import channel, real_channel
-from vibrojax.measured.kinds import ELECTRIC, FRAMES, QUANTITIES, SIGNALS, check_signal
-from vibrojax.measured.scatter import (
-    ASSUMED_LEVEL,
-    FEWEST_POINTS,
-    LOWEST_LEVEL,
-    interpolation_residuals,
-    spread,
+from vibrojax.measured.jumps import Jump, jumps_along
+from vibrojax.measured.kinds import (
+    DRIVES,
+    ELECTRIC,
+    FRAMES,
+    ORDERS,
+    QUANTITIES,
+    SIGNALS,
+    check_signal,
 )
+from vibrojax.measured.noise import Noise, Run, lever, phase_noise, relative_noise
 
 FREQUENCY_NAMES = ("frequency_ratio", "frequency")
 DIRECTIONS = {1: "forward", -1: "backward", 0: "unknown direction"}
-
-_FLOOR = 0.005
-"""Smallest deviation, of the median value: the foot of a resonance is not known ever better."""
-_LEAST_CHANGE = np.log(1.25)
-_ABOVE_MEDIAN = 4.0
-_ABOVE_NEIGHBOURS = 2.0
-_ABOVE_NOISE = 8.0
-_SMALLEST_FORCE = 1e-3
-
-
-class Jump(NamedTuple):
-    """An abrupt change of the amplitude between successive points of a sweep."""
-
-    direction: int
-    """1 in the forward, -1 in the backward sweep."""
-    before: float
-    """Frequency of the last point before it, in the unit of the curve."""
-    after: float
-    """Frequency of the first point after it."""
-    change: float
-    """Amplitude after over amplitude before."""
-    at: int
-    """Index of the point after it."""
-
-
-class Noise(NamedTuple):
-    """Standard deviations of the points, and what was assumed to get them."""
-
-    amplitude: Float[np.ndarray, " points"] | None
-    """In the unit of the amplitude."""
-    contact_force: Float[np.ndarray, " points"] | None
-    """N."""
-    sentence: str | None
-    """None when all of them were given."""
 
 
 def check_parameters(parameters: Any) -> dict[str, float]:
@@ -76,8 +45,8 @@ class MeasuredCurve:
     """Measured responses on a frequency axis, in the order in which they were measured.
 
     Arrays have the shape (points,). Raises `ValueError` when neither amplitude nor contact force is
-    there, lengths differ, a value is not finite, an amplitude or force is negative, a frequency or
-    deviation is not above 0, or a name is not one of those allowed.
+    there, lengths differ, a value is not finite, an amplitude or force is negative, a frequency,
+    drive or deviation is not above 0, or a name is not one of those allowed.
     """
 
     frequency: np.ndarray
@@ -95,7 +64,9 @@ class MeasuredCurve:
     contact_force_deviation: np.ndarray | None = None
     """Standard deviations, N; None: not known."""
     direction: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
-    """1 in a sweep of rising frequency, -1 of falling, 0 not known (when left out)."""
+    """1 in a sweep of rising frequency, -1 of falling, 0 not known (when left out), or no sweep.
+
+    Points held by control or by their phase, unstable ones included, are 0, in their order."""
     quantity: str = ""
     """What of the signal: amplitude ((max - min)/2), peak, peak_to_peak, rms, first_harmonic; of a
     power mean or peak. Left out: first_harmonic of complex amplitudes, mean of a power, else
@@ -115,13 +86,23 @@ class MeasuredCurve:
     lines: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     """Line of the file on which each point is; 1 to n without a file."""
     phase: np.ndarray | None = None
-    """Angle (rad) by which the response leads the drive, as the source has it: that of a complex
-    amplitude times exp(+i w t). NaN: not known at this point; None: at none. Fits do not use it."""
+    """Angle (rad) by which the first harmonic of the response leads the drive: that of a complex
+    amplitude times exp(+i w t). NaN: not known at this point; None: at none."""
+    phase_deviation: np.ndarray | None = None
+    """Standard deviations, rad; None: not known."""
+    drive_amplitude: np.ndarray | None = None
+    """Amplitude of the drive at every point, as measured, in the unit of `drive_signal`; None: the
+    one of the rig, at all of them. A ratio is over it. Where both are complex, the phase is that
+    of the response over the drive."""
+    drive_signal: str = ""
+    """What drive amplitude and phase refer to: `force` (N), or of the base `displacement` (m),
+    `velocity` (m/s) or `acceleration` (m/s2). Left out: the force or displacement of the rig."""
 
     def __post_init__(self) -> None:
         """Bring the arrays into form and refuse what is not a measured curve."""
         check_choice("frequency_name", self.frequency_name, FREQUENCY_NAMES)
         object.__setattr__(self, "notes", tuple(self.notes))
+        check_choice("drive_signal", self.drive_signal, ("", *DRIVES))
         self._take_apart()
         check_choice("quantity", self.quantity, tuple(QUANTITIES))
         check_choice("signal", self.signal, tuple(SIGNALS))
@@ -137,6 +118,17 @@ class MeasuredCurve:
         size = len(self.frequency)
         if size < 1:
             raise ValueError("frequency is empty: give at least one point.")
+        self._check_whole_numbers(size)
+        self._check("frequency", self.frequency > 0, "above 0")
+        for name in ("amplitude", "contact_force"):
+            self._check_channel(name, size)
+        if self.amplitude is None and self.contact_force is None:
+            raise ValueError("Give amplitude or contact_force, or both.")
+        self._check_phase(size)
+        self._check_drive(size)
+        object.__setattr__(self, "parameters", check_parameters(self.parameters))
+
+    def _check_whole_numbers(self, size: int) -> None:
         for name in ("direction", "lines"):
             given = np.atleast_1d(np.asarray(getattr(self, name)))
             if given.size == 0:
@@ -154,14 +146,6 @@ class MeasuredCurve:
             raise ValueError(f"direction must be 1, -1 or 0 (not known), got {bad}.")
         if self.lines.min() < 1:
             raise ValueError(f"lines must be numbers of at least 1, got {self.lines.min()}.")
-        self._check("frequency", self.frequency > 0, "above 0")
-        for name in ("amplitude", "contact_force"):
-            self._check_channel(name, size)
-        if self.amplitude is None and self.contact_force is None:
-            raise ValueError("Give amplitude or contact_force, or both.")
-        if self.phase is not None:
-            self._check_phase(size)
-        object.__setattr__(self, "parameters", check_parameters(self.parameters))
 
     def _take_apart(self) -> None:
         """Put magnitude and phase in place of a complex amplitude."""
@@ -170,44 +154,67 @@ class MeasuredCurve:
             usual = "mean" if self.signal == "power" else "amplitude"
             object.__setattr__(self, "quantity", self.quantity or usual)
             return
-        quantity = self.quantity or "first_harmonic"
         if self.phase is not None:
             raise ValueError("phase is given, but the amplitude is complex and has its own.")
-        object.__setattr__(self, "quantity", quantity)
+        phase = np.angle(given)
+        if self.drive_amplitude is not None:
+            drive = channel("drive_amplitude", self.drive_amplitude)
+            if np.iscomplexobj(drive):
+                phase = np.angle(given * drive.conj())
+                object.__setattr__(self, "drive_amplitude", np.abs(drive))
+        object.__setattr__(self, "quantity", self.quantity or "first_harmonic")
         object.__setattr__(self, "amplitude", np.abs(given))
-        object.__setattr__(self, "phase", np.angle(given))
-        note = (
-            f"The response is complex: its magnitude was taken ({quantity}), its angle is kept as "
-            "the phase, which fits do not use."
-        )
-        object.__setattr__(self, "notes", (*self.notes, note))
+        object.__setattr__(self, "phase", phase)
 
     def _check_phase(self, size: int) -> None:
-        phase = real_channel("phase", self.phase)
+        if self.phase is None:
+            if self.phase_deviation is not None:
+                raise ValueError("phase_deviation is given without phase.")
+            return
         if self.amplitude is None:
             raise ValueError("phase is given without amplitude.")
-        if phase.shape != (size,):
-            raise ValueError(f"phase has {phase.size} points, frequency has {size}.")
-        if np.isinf(phase).any():
+        if self.signal == "power":
+            raise ValueError("phase is given, and a power has none. Leave it out: phase=None.")
+        self._take("phase", size)
+        if np.isinf(self.phase).any():
             raise ValueError("phase must be finite, or NaN where it is not known, got inf.")
-        object.__setattr__(self, "phase", phase)
+        if np.isnan(self.phase).all():
+            object.__setattr__(self, "phase", None)
+            object.__setattr__(self, "phase_deviation", None)
+        elif self.phase_deviation is not None:
+            self._take("phase_deviation", size)
+            self._check("phase_deviation", self.phase_deviation > 0, "above 0")
+
+    def _check_drive(self, size: int) -> None:
+        if self.drive_amplitude is not None:
+            self._take("drive_amplitude", size)
+            self._check("drive_amplitude", self.drive_amplitude > 0, "above 0")
+            if self.frequency_name == "frequency_ratio" and ORDERS.get(self.drive_signal, 0):
+                raise ValueError(
+                    f"drive_amplitude is a {self.drive_signal} of the base, and its displacement "
+                    "follows from frequencies in Hz: give frequency in Hz, or the displacement, m."
+                )
+
+    def _take(self, name: str, size: int) -> None:
+        """Put a channel into form; one deviation or drive is that of all points."""
+        values = real_channel(name, getattr(self, name))
+        if name not in ("amplitude", "contact_force", "phase") and values.size == 1:
+            values = np.repeat(values, size)
+        if values.shape != (size,):
+            raise ValueError(f"{name} has {values.size} points, frequency has {size}.")
+        object.__setattr__(self, name, values)
 
     def _check_channel(self, name: str, size: int) -> None:
         for part in (name, f"{name}_deviation"):
             if getattr(self, part) is None:
                 continue
-            values = real_channel(part, getattr(self, part))
             if getattr(self, name) is None:
                 raise ValueError(f"{part} is given without {name}.")
-            if part != name and values.size == 1:
-                values = np.repeat(values, size)
-            if values.shape != (size,):
-                raise ValueError(f"{part} has {values.size} points, frequency has {size}.")
-            object.__setattr__(self, part, values)
+            self._take(part, size)
             if part == name:
-                self._check(part, values >= 0, "at least 0")
+                self._check(part, getattr(self, part) >= 0, "at least 0")
             else:
-                self._check(part, values > 0, "above 0")
+                self._check(part, getattr(self, part) > 0, "above 0")
         values = getattr(self, name)
         if name == "amplitude" and values is not None and not values.any():
             raise ValueError("amplitude is 0 at every point: nothing was measured.")
@@ -243,6 +250,12 @@ class MeasuredCurve:
         """Unit of the amplitude."""
         return "1" if self.is_ratio else SIGNALS[self.signal]
 
+    @property
+    def _drive_told(self) -> str:
+        """What the drive was measured as, and its unit."""
+        known = self.drive_signal
+        return f"{known}, {DRIVES[known]}" if known else "in the unit of the rig's, N or m"
+
     def _in_order(self, direction: int) -> Int[np.ndarray, " some"]:
         """Indices of the points of a direction, in the order of the sweep."""
         at = np.flatnonzero(self.direction == direction)
@@ -258,74 +271,51 @@ class MeasuredCurve:
         deviations where they were given. A curve without amplitudes, or of unknown direction, has
         none.
         """
-        return [jump for direction in (1, -1) for jump in self._jumps(self._in_order(direction))]
-
-    def _jumps(self, at: Int[np.ndarray, " some"]) -> list[Jump]:
-        if self.amplitude is None or len(at) < 2:
+        amplitude, deviation = self.amplitude, self.amplitude_deviation
+        if amplitude is None:
             return []
-        amplitude = self.amplitude[at]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            change = np.nan_to_num(np.diff(np.log(amplitude)), posinf=0.0, neginf=0.0)
-        size = np.abs(change)
-        strong = (size > _LEAST_CHANGE) & (size > _ABOVE_MEDIAN * np.median(size))
-        if self.amplitude_deviation is not None:
-            deviation = self.amplitude_deviation[at]
-            combined = np.hypot(deviation[1:], deviation[:-1])
-            strong &= np.abs(np.diff(amplitude)) > _ABOVE_NOISE * combined
-        found = []
-        for sign in (1, -1):
-            same = np.pad(np.maximum(sign * change, 0.0), 1)
-            beside = np.maximum(same[:-2], same[2:])
-            candidates = strong & (same[1:-1] > _ABOVE_NEIGHBOURS * beside)
-            if candidates.any():
-                k = int(np.argmax(np.where(candidates, sign * change, -np.inf)))
-                before, after = (float(f) for f in self.frequency[at[k : k + 2]])
-                ratio = float(np.exp(change[k]))
-                found.append(Jump(int(self.direction[at[k]]), before, after, ratio, int(at[k + 1])))
-        return sorted(found, key=lambda jump: int(np.flatnonzero(at == jump.at)[0]))
+        return [
+            jump
+            for way in (1, -1)
+            for jump in jumps_along(self._in_order(way), way, self.frequency, amplitude, deviation)
+        ]
+
+    def _orders(self) -> list[list[Run]]:
+        """Runs of neighbours: those of no direction by frequency, or in their order."""
+        jumps = [jump.at for jump in self.jumps()]
+        runs: list[Run] = []
+        for direction in (1, -1):
+            at = self._in_order(direction)
+            parts = np.split(at, np.flatnonzero(np.isin(at, jumps)))
+            runs += [(self.frequency, part) for part in parts]
+        at = self._in_order(0)
+        orders = [(self.frequency, at), (np.arange(float(self.size)), np.sort(at))]
+        return [[*runs, one] for one in orders[: 2 if at.size else 1]]
 
     def noise(self) -> Noise:
         """Return the standard deviation of every point: as given, or estimated from the scatter.
 
         Estimated: one relative level from how far points lie off the line or cubic through their
         neighbours (robust, the smaller of the two, not across jumps), at least 0.2 %; 2 % for fewer
-        than 8 points. Never less than 0.5 % of the median value.
+        than 8 points. Never less than 0.5 % of the median value. Of a phase the same in rad; where
+        the deviations of a first harmonic were given, they hold for both of its parts.
         """
-        found: dict[str, np.ndarray | None] = {"amplitude": None, "contact_force": None}
+        found: dict[str, np.ndarray | None] = {}
         sentences = []
-        for name in found:
-            values, given = getattr(self, name), getattr(self, f"{name}_deviation")
-            if values is None or given is not None:
-                found[name] = given
-                continue
-            found[name], sentence = self._estimate(values)
-            sentences.append(f"{name.replace('_', ' ').capitalize()}: {sentence}")
-        return Noise(found["amplitude"], found["contact_force"], " ".join(sentences) or None)
-
-    def _estimate(self, values: Float[np.ndarray, " points"]) -> tuple[np.ndarray, str]:
-        positive = values[values > 0]
-        if not positive.size:
-            text = f"a standard deviation of {_SMALLEST_FORCE:g} N is assumed, as all forces are 0."
-            return np.full(len(values), _SMALLEST_FORCE), text
-        jumps = [jump.at for jump in self.jumps()]
-        off_line, off_cubic = [], []
-        for direction in DIRECTIONS:
-            at = self._in_order(direction)
-            at = at[values[at] > 0]
-            for part in np.split(at, np.flatnonzero(np.isin(at, jumps))):
-                x, y = self.frequency[part], np.log(values[part])
-                off_line.append(interpolation_residuals(x, y, 1))
-                off_cubic.append(interpolation_residuals(x, y, 2))
-        # The cubic follows a curved response, the line a kinked one: neither reads too little.
-        spreads = [spread(np.concatenate(r)) for r in (off_line, off_cubic)]
-        if len(positive) < FEWEST_POINTS or np.isnan(spreads).all():
-            level = ASSUMED_LEVEL
-            why = f"is assumed, as {len(positive)} points are too few to estimate it"
-        else:
-            level = max(float(np.nanmin(spreads)), LOWEST_LEVEL)
-            why = "is assumed, estimated from the scatter of neighbouring points"
-        text = f"a standard deviation of {100 * level:.2g} % {why}."
-        return np.hypot(level * values, _FLOOR * np.median(positive)), text
+        for name in ("amplitude", "contact_force"):
+            values, found[name] = getattr(self, name), getattr(self, f"{name}_deviation")
+            if values is not None and found[name] is None:
+                found[name], sentence = relative_noise(values, self._orders())
+                sentences.append(f"{name.replace('_', ' ').capitalize()}: {sentence}")
+        if self.phase is not None and self.amplitude is not None:
+            given, of_amplitude = self.phase_deviation, self.amplitude_deviation
+            if given is None and of_amplitude is not None and self.quantity == "first_harmonic":
+                given = of_amplitude / lever(self.amplitude)
+            elif given is None:
+                given, sentence = phase_noise(self.phase, self.amplitude, self._orders())
+                sentences.append(f"Phase: {sentence}")
+            found["phase"] = np.where(np.isnan(self.phase), np.inf, given)
+        return Noise(sentence=" ".join(sentences) or None, **found)
 
     def __repr__(self) -> str:
         counts = {name: int(np.sum(self.direction == d)) for d, name in DIRECTIONS.items()}
@@ -344,9 +334,11 @@ class MeasuredCurve:
                 f"  {self.signal}, {self.quantity} {QUANTITIES[self.quantity]}, {unit}"
                 f"{frame}: up to {np.max(self.amplitude):.5g}"
             )
-        if self.phase is not None and not np.isnan(self.phase).all():
-            low, high = np.nanmin(self.phase), np.nanmax(self.phase)
-            lines.append(f"  phase, rad: {low:.4g} to {high:.4g}, not used by fits")
+        for name in ("phase", "drive_amplitude"):
+            values = getattr(self, name)
+            if values is not None:
+                told = "phase, rad" if name == "phase" else f"drive, {self._drive_told}"
+                lines.append(f"  {told}: {np.nanmin(values):.4g} to {np.nanmax(values):.4g}")
         if self.contact_force is not None:
             lines.append(f"  contact force, N: up to {np.max(self.contact_force):.5g}")
         channels = [n for n in ("amplitude", "contact_force") if getattr(self, n) is not None]

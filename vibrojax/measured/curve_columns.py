@@ -13,7 +13,7 @@ from vibrojax.measured.columns import (
     match_columns,
 )
 from vibrojax.measured.datasets import OWN
-from vibrojax.measured.kinds import FRAMES, QUANTITIES, SIGNALS
+from vibrojax.measured.kinds import DRIVES, FRAMES, QUANTITIES, SIGNALS
 from vibrojax.measured.table import Table
 from vibrojax.measured.units import AXES, UNITS, split_header
 
@@ -28,6 +28,11 @@ _ELECTRIC = (
 """Of a harvester; read where no column has an amplitude of a motion."""
 _RESPONSE = f"(?:{_AMPLITUDE}|h|frf|x|y|response|receptance|compliance|mobility|accelerance|of)*"
 _DEVIATION = "(?:standarddeviation|stddeviation|stddev|deviation|sd|sigma|std|uncertainty|error)"
+_DRIVE = (
+    "(?:drive|driving|excitation|exciter|shaker|base|input)+"
+    "(?:force|load|displacement|disp|velocity|vel|acceleration|accel|acc|motion|amplitude|amp|level"
+    "|rms|half|peaktopeak|pkpk|p2p|pp|peak|max)*"
+)
 PATTERNS = {
     "frequency": AXES["frequency"],
     "amplitude": _AMPLITUDE,
@@ -36,6 +41,8 @@ PATTERNS = {
     "real": f"{_RESPONSE}(?:real|re)(?:part)?{_RESPONSE}",
     "imaginary": f"{_RESPONSE}(?:imaginary|imag|im)(?:part)?{_RESPONSE}",
     "phase": f"{_RESPONSE}(?:phase|phaseangle|arg){_RESPONSE}",
+    "phase_deviation": f"(?:phase|phaseangle|arg){_DEVIATION}|{_DEVIATION}(?:phase|phaseangle|arg)",
+    "drive": _DRIVE,
     "contact_force": CONTACT_FORCE,
     "contact_force_deviation": f"{ANY_FORCE}{_DEVIATION}|{_DEVIATION}{ANY_FORCE}",
     "direction": "(?:sweep)?(?:direction|dir)|sweep",
@@ -50,6 +57,8 @@ _QUANTITY_WORDS = {
     "peak|max": "peak",
     "mean|average|avg": "mean",
 }
+_OF_AMPLITUDE = {"rms": 2**0.5, "peak_to_peak": 0.5}
+"""Amplitude of a harmonic by its other measures."""
 _SIGNAL_WORDS = {
     "disp": "displacement",
     "vel": "velocity",
@@ -94,6 +103,7 @@ class CurveColumns:
         columns = dict(columns or {})
         if "amplitude_deviation" in columns:
             columns["deviation"] = columns.pop("amplitude_deviation")
+        self.with_phase = columns.get("phase", "") is not None
         self.own = set(OWN) <= set(table.columns)
         if self.own and "amplitude" not in columns:
             power = "mean_power" in table.columns
@@ -160,6 +170,7 @@ class CurveColumns:
             ("deviation", "amplitude"),
             ("weight", "amplitude"),
             ("phase", "amplitude"),
+            ("phase_deviation", "amplitude"),
             ("contact_force_deviation", "contact_force"),
         ):
             if part in self.columns and whole not in self.columns:
@@ -205,7 +216,9 @@ class CurveColumns:
                     f"Columns {self.columns['amplitude']!r} and {self.imaginary!r} must be in one "
                     f"unit, got {self.unit['amplitude']!r} and {other!r}."
                 )
-        self._find_unit_of_phase(given)
+        self._find_optional_unit("phase", ("angle",), "deg", given)
+        self._find_optional_unit("drive", tuple(DRIVES), "N", given)
+        self._find_optional_unit("phase_deviation", ("angle",), "deg", given)
         for key, whole in (
             ("deviation", "amplitude"),
             ("contact_force_deviation", "contact_force"),
@@ -215,29 +228,47 @@ class CurveColumns:
                 allowed = (UNITS[same].kind, "relative")
                 column = self.columns[key]
                 self.unit[key] = column_unit(self.table, key, column, self.units, allowed) or same
+        self._find_drive()
 
-    def _find_unit_of_phase(self, given: Mapping[str, Any]) -> None:
-        if "phase" not in self.columns:
+    def _find_optional_unit(
+        self, key: str, kinds: tuple[str, ...], example: str, given: Mapping[str, Any]
+    ) -> None:
+        """Find the unit of a column; leave out one that nobody asked for and that has none."""
+        if key not in self.columns:
             return
-        column = self.columns["phase"]
-        asked = given.get("phase") is not None or "phase" in self.units
+        column = self.columns[key]
+        asked = given.get(key) is not None or key in self.units
         try:
-            unit = column_unit(self.table, "phase", column, self.units, ["angle"])
+            unit = column_unit(self.table, key, column, self.units, kinds)
         except ValueError:
             if asked:
                 raise
             unit = None
+        advice = f"units=dict({key}={example!r})"
         if unit is not None:
-            self.unit["phase"] = unit
+            self.unit[key] = unit
         elif asked:
-            raise ValueError(
-                f"Column {column!r} says no unit of the phase. Give it: units=dict(phase='deg')."
-            )
+            what = key.replace("_", " ")
+            raise ValueError(f"Column {column!r} says no unit of the {what}. Give it: {advice}.")
         else:
-            del self.columns["phase"]
-            self.notes.append(
-                f"Column {column!r} was left out, as it says no unit: units=dict(phase='deg')."
-            )
+            del self.columns[key]
+            self.notes.append(f"Column {column!r} was left out, as it says no unit: {advice}.")
+
+    def _find_drive(self) -> None:
+        """Find out what the drive was measured as, and by what its numbers make an amplitude."""
+        self.drive_signal, self.drive_factor = "", 1.0
+        if "drive" not in self.columns:
+            return
+        column = self.columns["drive"]
+        self.drive_signal = UNITS[self.unit["drive"]].kind
+        words = split_header(column).words
+        told = next((q for w, q in _QUANTITY_WORDS.items() if re.search(w, words)), "amplitude")
+        self.drive_factor = _OF_AMPLITUDE.get(told, 1.0)
+        kind = "force" if self.drive_signal == "force" else f"{self.drive_signal} of the base"
+        self.notes.append(
+            f"Column {column!r} was taken for the drive at each point: the {kind}, "
+            f"{told.replace('_', ' ')}. columns=dict(drive=None) leaves it out."
+        )
 
     def _find_quantity(self, quantity: str | None, signal: str | None, frame: str | None) -> None:
         self.quantity, self.frame = quantity or "", frame or "relative"

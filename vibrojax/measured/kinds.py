@@ -17,6 +17,10 @@ SIGNALS = {
     "voltage": "V",
     "power": "W",
 }
+ORDERS = {"displacement": 0, "velocity": 1, "acceleration": 2, "voltage": 0, "power": 0}
+"""Which derivative a signal is."""
+DRIVES = {"force": "N"} | {name: SIGNALS[name] for name in list(SIGNALS)[:3]}
+"""What a drive is measured as, with its unit: a force, or a motion of the base."""
 FRAMES = ("relative", "absolute")
 ELECTRIC = ("voltage", "power")
 """Signals that are no motions."""

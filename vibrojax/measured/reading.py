@@ -29,6 +29,7 @@ _REAL = {
     "leaves it out.",
 }
 """What to do where a column of these is complex."""
+_FITTED = "which is fitted too: columns=dict(phase=None) leaves it out."
 
 
 @validated
@@ -58,18 +59,21 @@ def read_measured_curve(
     series over frequency, or a dict of arrays; a list of them gives several curves.
 
     A complex amplitude is a response: its magnitude is taken, of the first harmonic, and its angle
-    kept as the phase. It may also be two columns, `real` and `imaginary`. Complex numbers anywhere
-    else are refused.
+    for the phase. It may also be two columns, `real` and `imaginary`. Where the drive is complex
+    too, the phase is that of the response over the drive. Complex numbers anywhere else are
+    refused.
 
     Parameters:
         source: what is read, as above.
         columns: names the columns `frequency`, `amplitude`, `deviation`, `contact_force`,
             `contact_force_deviation`, `direction`, `weight` (of the amplitude's points, 1/variance
-            up to a factor), `real`, `imaginary` and `phase`, or gives their positions from 0. Usual
-            names are recognised, and None leaves one out. A plain force may be that of the drive:
-            say whether it is the `contact_force`.
+            up to a factor), `real`, `imaginary`, `phase`, `phase_deviation` and `drive` (its
+            amplitude at every point, also as rms or peak to peak where the name says so), or gives
+            their positions from 0. Usual names are recognised, and None leaves one out. A plain
+            force may be that of the drive: say whether it is `contact_force` or `drive`.
         units: units by the same names, where headers have none: Hz, kHz, rad/s, rpm, ratio; ratio,
             m, mm, um, m/s, mm/s, m/s2, g; N, mN, kN; rad, deg; deviations also `relative` or `%`.
+            That of the drive says what it is: a force, or a motion of the base.
         quantity: as of `MeasuredCurve`; None: as the name of the column says.
         signal: as of `MeasuredCurve`; None: as the unit says.
         frame: as of `MeasuredCurve`; None: relative.
@@ -155,12 +159,15 @@ class _Reader:
                 apart = Unusable(len(self.table.lines))
                 found = self._in_si(key, real_numbers(self.table, column, key, apart))
                 values[key] = np.where(apart.rows, np.nan, found)
-                self.notes.append(f"Column {column!r} is kept as the phase; fits do not use it.")
+                self.notes.append(f"Column {column!r} was taken for the phase, {_FITTED}")
                 continue
             if key == "amplitude":
                 found = self._in_si(key, self._response(column, trouble))
                 if np.iscomplexobj(found):
                     values["response"], found = found, np.abs(found)
+            elif key == "drive":  # complex beside a complex response: a phase to refer to
+                values["source"] = self._in_si(key, numbers(self.table, column, key, trouble))
+                found = np.abs(values["source"])
             else:
                 found = self._in_si(
                     key, real_numbers(self.table, column, key, trouble, _REAL.get(key, ""))
@@ -192,8 +199,8 @@ class _Reader:
 
     def _in_si(self, key: str, found: np.ndarray) -> np.ndarray:
         if key in self.own.unit and UNITS[self.own.unit[key]].kind != "relative":
-            return found * UNITS[self.own.unit[key]].factor
-        return found
+            found = found * UNITS[self.own.unit[key]].factor
+        return found * self.own.drive_factor if key == "drive" else found
 
     def _response(self, column: str, trouble: Unusable) -> np.ndarray:
         """Return the amplitude, complex where it is; say what was taken for it."""
@@ -250,15 +257,22 @@ class _Reader:
         else:
             found = directions[rows]
         ratio = self.own.unit["frequency"] == "ratio"
+        whole = "response" in part and self.own.with_phase
+        quantity = self.own.quantity or ("first_harmonic" if "response" in part else "")
+        if whole:
+            notes.append(
+                f"The response is complex: its magnitude was taken ({quantity}), and its angle for "
+                f"the phase, {_FITTED}"
+            )
         curve = MeasuredCurve(
             part["frequency"],
             "frequency_ratio" if ratio else "frequency",
-            part.get("response", part.get("amplitude")),
+            part["response"] if whole else part.get("amplitude"),
             part.get("deviation"),
             part.get("contact_force"),
             part.get("contact_force_deviation"),
             found,
-            self.own.quantity,
+            quantity,
             self.own.signal,
             self.own.is_ratio,
             self.own.frame,
@@ -267,6 +281,9 @@ class _Reader:
             tuple(notes),
             self.table.lines[rows],
             part.get("phase"),
+            part.get("phase_deviation") if whole or "phase" in part else None,
+            part.get("source" if self.own.with_phase else "drive"),
+            self.own.drive_signal,
         )
         return _weighted(curve, part["weight"]) if "weight" in part else curve
 

@@ -146,6 +146,12 @@ class AbstractDrive(eqx.Module):
         """Input by a unit of a measured signal: -1 of a base acceleration, 1 of a force."""
         return 1.0
 
+    def with_amplitude(self, amplitude: ArrayLike) -> "AbstractDrive":
+        """Return the drive with another `amplitude`, m or N. Raises `ValueError` if it has none."""
+        if not hasattr(self, "amplitude"):
+            raise ValueError(f"A {type(self).__name__} has no amplitude that could be another.")
+        return eqx.tree_at(lambda drive: getattr(drive, "amplitude"), self, amplitude)  # noqa: B009
+
     def input(self, waveform: AbstractWaveform, time: Values) -> Values:
         """Return the input at `time` (s): base acceleration with its sign changed, or force.
 

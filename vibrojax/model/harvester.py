@@ -43,6 +43,10 @@ class AsMeasured(AbstractDrive):
         """That of the drive."""
         return self.drive.signal_factor
 
+    def with_amplitude(self, amplitude: ArrayLike) -> "AsMeasured":
+        """Return the same of the drive with another `amplitude`, m or N."""
+        return AsMeasured(self.drive.with_amplitude(amplitude), self.unit)
+
 
 @validated
 class Harvester(AbstractSystem):

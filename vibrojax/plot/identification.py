@@ -31,6 +31,8 @@ from vibrojax.plot.style import (
 
 WAYS = {"forward": 1, "backward": -1, "unknown direction": 0}
 FITTED: dict[str, Any] = {"color": COLORS["black"], "linewidth": 1.6}
+NEAREST: dict[str, Any] = {"color": COLORS["black"], "linestyle": "none", "marker": "."}
+NEAREST |= {"markersize": 5, "zorder": 6, "label": "fitted, at the drive of each point"}
 FOLD = HOLLOW | {"marker": "o", "markersize": 9, "markeredgewidth": 2.0}
 LIMITS: dict[str, Any] = {"color": GREY, "linestyle": DASHES, "linewidth": 1.0}
 LINE = 0.22
@@ -95,11 +97,16 @@ def _curve(panels: list[Axes], data: xarray.Dataset, names: list[str]) -> None:
                 axes.plot(frequency[at], data[name].values[at], zorder=3, **marks)
     along = data["curve_frequency"].values
     stable, joined = data["curve_unstable"].values == 0, data["curve_continues"].values
-    style: dict[str, Any] = FITTED | {"words": ("fitted", "fitted, between folds"), "zorder": 4}
+    own = "drive_amplitude" in data
+    name = f"fitted{', at the median drive' * own}"
+    style: dict[str, Any] = FITTED | {"words": (name, f"{name}, between folds"), "zorder": 4}
     folds = _folds(data)
     for axes, name in zip(panels, names, strict=False):
         values = data[f"curve_{name}"].values
         draw_stable(axes, along, values, stable, joined, entry=FITTED["color"], **style)
+        if own:
+            at_own = data["fitted_frequency"].values, data[f"fitted_{name}"].values
+            axes.plot(*at_own, **NEAREST)
         for way, at in folds:
             axes.plot(along[at], values[at], color=COLORS[way], zorder=5, **FOLD)
         name_axes(axes, None, balanced(label_for(data[f"measured_{name}"])))

@@ -78,7 +78,7 @@ class FrequencyPath(AbstractPath):
 
     equations: LinearEquations
     drive: AbstractDrive
-    unit: Float[Array, "..."]
+    unit: Float[AnyArray, "..."]
     """Angular frequency of a parameter of 1."""
     phases: ContactPhases | None
 
