@@ -115,8 +115,8 @@ def identify(
             what the history says, of a velocity else with its first one measured.
         bounds: `vj.Range(low, high)` for some of them.
         together: False to fit each element of the list `measured` by itself, all with the same
-            settings, and return a list. All must have as many points; their curves are followed
-            side by side, which costs less than one call after the other.
+            settings, and return a list. All must have as many points. Those that the end of the
+            first explains begin there, which costs less than one call after the other.
         private: those that differ from measurement to measurement; the others are shared.
         objective: `distance` (above); for comparison `pointwise` (at equal frequencies, on the
             ends of the branch that a sweep follows) or `folds` (pointwise without the points next

@@ -131,7 +131,8 @@ class LevenbergMarquardt:
         cost, done = np.full(lanes, np.inf), np.zeros(lanes, bool)
         count, idle, failed = np.zeros((3, lanes), int)
         # Filled up with the last lane, so that the number of starts compiles nothing anew.
-        full = best[filled_up(lanes, WIDTH)]
+        filled = filled_up(lanes, WIDTH)
+        full = best[filled]
         size = len(full), unknowns + 1
         args = np.zeros(size), np.zeros((*size, unknowns)), full.copy()
         point = jnp.asarray(full)
@@ -139,8 +140,7 @@ class LevenbergMarquardt:
         for _ in range(self.most_steps):
             asked = np.clip(np.asarray(state.y_eval), low, high)
             # On a ridge with a kink the damped step turns, but hardly becomes shorter.
-            start = best[filled_up(lanes, WIDTH)]
-            asked = start + (asked - start) / 2.0 ** failed[filled_up(lanes, WIDTH), None]
+            asked = best[filled] + (asked - best[filled]) / 2.0 ** failed[filled, None]
             state = eqx.tree_at(lambda s: s.y_eval, state, jnp.asarray(asked))
             active = np.flatnonzero(~done)
             residual, jacobian = evaluate(asked[active], active)

@@ -83,10 +83,10 @@ def nearest_points(
 ) -> Nearest:
     """Find the nearest points of many curves from guesses on them.
 
-    `slopes` holds the derivatives of the paths, with the numbers sought as the second axis; `scale`
-    is the change of frequency that counts as much as a motion changing by its size, `rounds` the
-    most that are gone through, `close` the step at which no further one is needed: distances are
-    then off by its square, derivatives by itself.
+    `slopes` holds the derivatives of the paths, with the numbers sought as the second axis, and
+    None for what no number changes; `scale` is the change of frequency that counts as much as a
+    motion changing by its size, `rounds` the most that are gone through, `close` the step at which
+    no further one is needed: distances are then off by its square, derivatives by itself.
     """
     samples = 2 * (depth.shape[-1] - 1)
     number = jax.tree.leaves(slopes)[0].shape[1]

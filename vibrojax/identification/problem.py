@@ -288,8 +288,9 @@ class Problem:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and their derivatives in the coordinates; `which`: repetition of each lane.
 
-        With a `trail` the lanes of curves go on from what it keeps of their `starts`. `shifts`:
-        limits (lanes, 2) of those of some histories, by measurement.
+        With a `trail` the lanes of curves go on from what it keeps of their `starts`; `precisely`,
+        all curves are followed anew. `shifts`: limits (lanes, 2) of those of some histories, by
+        measurement.
         """
         slopes, residuals, jacobians = self.slopes(points), [], []
         for k, misfit in enumerate(self.misfits):
