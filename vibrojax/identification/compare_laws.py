@@ -97,9 +97,10 @@ def compare_laws(
     candidates = candidates_of(laws, impact_of(histories))
     rest = dict(guess or {})
     settings: dict[str, Any] = {"bounds": bounds, "confidence": confidence}
+    makers = {name: _WithLaw(make_system, law, name) for name, law in candidates.items()}
     judged = {}
-    for name, law in candidates.items():
-        make, first = _WithLaw(make_system, law, name), {**law.guess, **rest}
+    for name, make in makers.items():
+        first = {**make.law.guess, **rest}
         fit = identify(make, histories, first, private=private, **settings, **numbers)
         first |= {n: v for n, v in fit.estimate.items() if n in first}
         foretold = []

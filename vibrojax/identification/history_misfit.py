@@ -32,6 +32,8 @@ from vibrojax.identification.recorded_data import Data, data_of, on_samples, rec
 from vibrojax.identification.trial_rigs import Maker
 from vibrojax.measured.history import MeasuredHistory
 from vibrojax.model.drives import BaseMotion, NoDrive
+from vibrojax.model.laws import linear_coefficients
+from vibrojax.model.stops import Stop
 from vibrojax.model.systems import AbstractSystem, equation_kinds
 from vibrojax.steady.batches import filled_up
 from vibrojax.stepping.choice import is_exact
@@ -198,7 +200,7 @@ class HistoryMisfit:
     @property
     def can_hop(self) -> bool:
         """Whether the shift is sought, of a motion whose force may set in with a jump."""
-        return self.plan.aligned and self.plan.begins == "start" and bool(self.sharp)
+        return self.plan.jumps and self.plan.aligned and bool(self.sharp)
 
     def beside(self, repetition: int, shift: float) -> list[tuple[float, float]]:
         """Return limits of the shift with which the motion begins one sample sooner, or later.
@@ -331,7 +333,8 @@ class HistoryMisfit:
 def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractSystem) -> Plan:
     """Decide what is computed. Raises `ValueError` for a history the system cannot have."""
     kind = type(system).__name__
-    if system.equations().linear_between_contacts is None:
+    kinds = system.equations()
+    if kinds.linear_between_contacts is None:
         raise ValueError(
             f"{kind} is not linear but for its stops: histories of such a system are not fitted."
         )
@@ -379,6 +382,12 @@ def _plan(history: MeasuredHistory, channels: tuple[str, ...], system: AbstractS
         driven=driven,
         aligned=history.align_phase,
         exact=exact,
+        jumps=not history.settled and any(_sets_in(stop) for stop in kinds.stops),
         delayed=False,
         fitted=(),
     )
+
+
+def _sets_in(stop: Stop) -> bool:
+    """Whether the force of a stop sets in with a jump: of a dashpot, where no corner is rounded."""
+    return stop.is_linear and linear_coefficients(stop.law) is not None

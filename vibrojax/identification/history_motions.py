@@ -53,6 +53,8 @@ class Plan(NamedTuple):
     driven: bool
     aligned: bool
     exact: bool
+    jumps: bool
+    """Whether forces set in with a jump, of a motion that begins within the record."""
     delayed: bool
     """Whether channels have clocks of their own."""
     fitted: tuple[int, ...]

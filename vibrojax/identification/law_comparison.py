@@ -1,5 +1,6 @@
 """What comparing contact laws found: criteria, records foretold, and which law is best."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -8,9 +9,11 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from vibrojax._tools.signatures import validated
 from vibrojax.identification.findings import UNLIKELY
 from vibrojax.identification.identification import Identification
 from vibrojax.plot.laws import plot_laws
+from vibrojax.results.saving import save_dataset
 
 if TYPE_CHECKING:
     import xarray
@@ -118,6 +121,15 @@ class LawComparison:
     def plot(self) -> "Figure":
         """Draw the force of every record with each law fitted to it, and how the laws compare."""
         return plot_laws(self.to_xarray(), {n: f.predictions for n, f in self.fits.items()})
+
+    @validated
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the criteria to a NetCDF file, whole or not at all.
+
+        `path` is that of the file, such as `laws.nc`; what is there is replaced. Raises
+        `ValueError` for a path that cannot be a file's, `OSError` where writing fails.
+        """
+        save_dataset(self.to_xarray(), path)
 
     def __repr__(self) -> str:
         data = self.to_xarray()

@@ -1,0 +1,76 @@
+"""Which law explains force records: the one that made them; none, where another thing did."""
+
+import matplotlib.figure
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.io import MeasuredHistory
+
+LAWS = ["no_tension", "hunt_crossley"]
+
+
+def cart(law, mass=0.58):
+    return vj.model.Oscillator(mass, stops=(vj.Stop(None, 0.0, law),))
+
+
+def record(law, velocity, seed, label):
+    """Force of a cart that hits a stop, every 10 ms, with noise; the clock begins anywhere."""
+    made = cart(law)
+    state = made.state(velocity=[velocity])
+    fine = vj.simulate(made, initial_state=state, duration=0.6, samples=3000)
+    time = 0.01 * np.arange(50)
+    force = np.interp(time - 0.0537, fine.time, np.sum(fine.contact_force, axis=1), left=0.0)
+    noise = 0.03 * np.random.default_rng(seed).standard_normal(time.size)
+    return MeasuredHistory(
+        time + 3.0,
+        contact_force=force + noise,
+        deviation={"contact_force": 0.03},
+        initial_velocity=velocity,
+        initial_displacement=0.0,
+        label=label,
+    )
+
+
+@pytest.mark.slow
+def test_the_law_that_made_the_records_foretells_them_best(tmp_path):
+    law = vj.HuntCrossley(250.0, 0.25)
+    runs = [record(law, v, k, f"{v} m/s") for k, v in enumerate((0.5, 0.9))]
+    found = vj.compare_laws(cart, runs, laws=LAWS)
+    assert found.best == "hunt_crossley"
+    fit = found.fits["hunt_crossley"]
+    for name, value in dict(stiffness=250.0, dissipation=0.25).items():
+        low, high = fit.interval[name]
+        assert low < value < high
+    data = found.to_xarray()
+    assert data["foretold"].sel(law="hunt_crossley").max() < 2.0
+    assert data["foretold"].sel(law="no_tension").mean() > 4.0
+    assert data["akaike"].sel(law="hunt_crossley") == 0
+    assert data["weight"].sum() == pytest.approx(1.0)
+    assert not any("None of the laws" in text for text in found.warnings)
+    assert "best: hunt_crossley" in repr(found)
+    assert isinstance(found.plot(), matplotlib.figure.Figure)
+    found.save(tmp_path / "laws.nc")
+    # A law that cannot be: the deviations are small beside what it misses.
+    one = found.fits["no_tension"]
+    assert any("does not explain" in text for text in one.warnings)
+
+
+def test_what_cannot_be_compared_is_refused():
+    time = np.linspace(0.0, 1.0, 20)
+    force = np.maximum(np.sin(6 * time), 0.0)
+    run = MeasuredHistory(time, contact_force=force, initial_velocity=0.8)
+    silent = MeasuredHistory(time, velocity=force, initial_velocity=0.8)
+    cases = [
+        (dict(make_system=lambda mass: cart(None, mass)), "must take an argument `law`"),
+        (dict(measured=[]), "measured must be a MeasuredHistory"),
+        (dict(measured=silent), "has no contact_force"),
+        (dict(laws=["hertz"]), "laws must be at least two"),
+        (dict(laws=["hertz", "herz"]), "there is no law 'herz'.*hertz"),
+        (dict(laws=dict(hertz=None, mine=3)), "mine must be a function that makes a law"),
+        (dict(laws=dict(hertz=None, mine=(vj.Hertz, dict(mass=1.0)))), "Rename one of them"),
+    ]
+    for settings, words in cases:
+        call = dict(make_system=cart, measured=run) | settings
+        with pytest.raises(ValueError, match=words):
+            vj.compare_laws(call.pop("make_system"), call.pop("measured"), **call)
