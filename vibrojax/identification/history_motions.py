@@ -34,7 +34,7 @@ LONGEST = 6
 MOST_PERIODS = 600
 APPROACH, APPROACH_PERIODS = 0.4, 150
 """How far away the drive frequency starts, relative, and in how many periods it arrives."""
-BETWEEN_SAMPLES = 16
+BETWEEN_SAMPLES = 8
 """Fewest steps between two samples where nothing says how short contacts are."""
 RETURNED = 1e-4
 """Relative return after which a march is left to Newton's method."""
@@ -308,7 +308,7 @@ def sampled_signals(rigs: Rig, plan: Plan, state, span, count: int):
     def one(rig, state, span):
         times = span * jnp.arange(count) / count
         # So many samples need no steps in between to show where the motion begins.
-        states = _states(rig, plan.exact, state, times, fewest=2)
+        states = _states(rig, plan.exact, state, times, fewest=1)
         shown = _signals(rig, plan, times, states)
         return rig.sensors.gain[:, None] * shown + rig.sensors.offset[:, None]
 
