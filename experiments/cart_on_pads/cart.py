@@ -16,7 +16,7 @@ MASS = 0.578
 GUESS = {"stiffness": 60.0, "damping": 1.0, "initial_velocity": None}
 """First values in N/m and N s/m; the velocity begins with that of the record."""
 DEVIATION = {"contact_force": 0.1, "velocity": 0.02}
-"""Standard deviations in N and m/s: of what such a model leaves, as the noise of the force is 0.02."""
+"""Standard deviations, N and m/s: of what such a model leaves, some five times the noise."""
 AT_REST = 20
 """Samples of the force before the cart moves, from which the offset is read."""
 

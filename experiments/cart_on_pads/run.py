@@ -60,10 +60,10 @@ def alone() -> dict:
 
 
 def draw(panel: plt.Axes, fit) -> None:
-    """Draw the force that was measured and the one that was fitted."""
+    """Draw the force that was measured and the one that was fitted; the sensor turns it."""
     one = fit.predictions[0]
-    panel.plot(one.time, one.measured, ".", color="0.3", markersize=5, label="measured")
-    panel.plot(one.time, one.predicted, color="#d1590a", lw=1.3, label="fitted")
+    panel.plot(one.measured_time, -one.measured_value, ".", color="0.3", label="measured")
+    panel.plot(one.measured_time, -one.fitted_value, color="#d1590a", lw=1.3, label="fitted")
     panel.grid(alpha=0.3)
 
 
@@ -94,7 +94,7 @@ def together() -> dict:
 
 
 def laws(pad: int) -> dict:
-    """Five laws beside each other on one pad: criteria, and what they foretell of a run left out."""
+    """Five laws beside each other on one pad: criteria, and what they foretell of runs left out."""
     compared = vj.compare_laws(
         with_law,
         list(records(pad).values()),
@@ -134,8 +134,9 @@ def main() -> None:
     only = parser.parse_args().only
     for name, part in PARTS.items():
         if only in (None, name):
+            computed = part()
             found = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-            found[name] = part()
+            found[name] = computed
             RESULTS.write_text(json.dumps(found, indent=1) + "\n")
 
 
