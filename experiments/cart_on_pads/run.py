@@ -1,6 +1,6 @@
 """Fits of a cart that hits two pads: each run alone, all together, one left out, five laws.
 
-python experiments/cart_on_pads/run.py                # ten minutes
+python experiments/cart_on_pads/run.py                # twenty minutes
 python experiments/cart_on_pads/run.py --only alone   # one part: the others stay as they are
 """
 
