@@ -377,4 +377,21 @@ def _measured():
         "[The experiment](../experiments/stuttgart_rig/README.md)",
         _table(rows),
         _command("python experiments/stuttgart_rig/run.py"),
+        "### A cart that hits a pad of foam",
+        "Force records, each fitted by itself, with the mass that the impulses say. "
+        "[The experiment](../experiments/cart_on_pads/README.md)",
+        _table(_of_runs(_json("cart_on_pads/results.json")["alone"]["40 mm"])),
+        _command("python experiments/cart_on_pads/run.py --only alone"),
+    ]
+
+
+def _of_runs(runs):
+    return [
+        {
+            "run": name[4:],
+            "stiffness (N/m)": f"{run['estimate']['stiffness']:.1f}",
+            "damping (N s/m)": f"{run['estimate']['damping']:.2f}",
+            "rms misfit (N)": f"{run['rms']['contact_force']:.3f}",
+        }
+        for name, run in runs.items()
     ]

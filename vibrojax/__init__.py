@@ -36,7 +36,6 @@ from vibrojax.history.simulate import motion as motion
 from vibrojax.history.simulate import simulate as simulate
 from vibrojax.identification.compare_laws import compare_laws as compare_laws
 from vibrojax.identification.identify import identify as identify
-from vibrojax.maps.basin_map import BasinFractions as BasinFractions
 from vibrojax.maps.parameter_map import parameter_map as parameter_map
 from vibrojax.model.beam import Cantilever as Cantilever
 from vibrojax.model.beam import PointMass as PointMass
@@ -71,6 +70,7 @@ from vibrojax.regime.lyapunov import lyapunov_exponent as lyapunov_exponent
 from vibrojax.regime.regimes import regimes as regimes
 from vibrojax.regime.settings import BasinSettings as BasinSettings
 from vibrojax.regime.settings import RegimeSettings as RegimeSettings
+from vibrojax.resolution import ResolutionCheck as ResolutionCheck
 from vibrojax.resolution import check_resolution as check_resolution
 from vibrojax.results.status import Status as Status
 from vibrojax.steady.kinds import Regime as Regime

@@ -201,7 +201,7 @@ CALLS = {
     "BasinSettings": (vj.BasinSettings, {}),
     "Range": (vj.Range, dict(low=0.0, high=1.0)),
     "BasinFractions": (
-        vj.BasinFractions,
+        vj.maps.BasinFractions,
         dict(start=start, displacement=[0.0, 1e-3], velocity=[0.0, 1.0]),
     ),
     "MeasuredCurve": (

@@ -99,9 +99,9 @@ def start(x: float, speed: float) -> tuple[list[float], list[float]]:
     return [x], [speed]
 
 
-def box(**settings: Any) -> vj.BasinFractions:
+def box(**settings: Any) -> vj.maps.BasinFractions:
     sides = {"x": vj.Range(-1e-4, 1e-4), "speed": vj.Range(-0.01, 0.01)}
-    return vj.BasinFractions(start, starts=3, **sides, **settings)
+    return vj.maps.BasinFractions(start, starts=3, **sides, **settings)
 
 
 def map_of(make: Make, gap: float, kind: Any, **settings: Any) -> Any:

@@ -242,7 +242,7 @@ def test_refusals(arguments, sentence):
 
 
 def test_a_map_of_basin_fractions(bistable):
-    response = vj.BasinFractions(start, x=X, speed=SPEED)
+    response = vj.maps.BasinFractions(start, x=X, speed=SPEED)
     found = vj.parameter_map(
         make, frequency=[BISTABLE, 0.4], gap=[1.0, 3.0], response=response, progress=False
     )
@@ -257,12 +257,12 @@ def test_a_map_of_basin_fractions(bistable):
     # What a store knows a response by does not depend on where Python keeps the function.
     assert "0x" not in repr(response)
     assert repr(response) != repr(
-        vj.BasinFractions(
+        vj.maps.BasinFractions(
             lambda x, speed: ([-x], [speed]), x=vj.Range(0.0, 1.0), speed=vj.Range(0.0, 1.0)
         )
     )
     with pytest.raises(ValueError, match="Unknown argument 'angle'"):
-        vj.BasinFractions(
+        vj.maps.BasinFractions(
             start, angle=vj.Range(0.0, 1.0), x=vj.Range(0.0, 1.0), speed=vj.Range(0.0, 1.0)
         )
 

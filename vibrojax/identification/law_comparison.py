@@ -37,6 +37,7 @@ class LawComparison:
     """Contact laws beside each other; made by `compare_laws`."""
 
     judged: Mapping[str, Judged]
+    """Every law by name, fitted to all records, and what it foretold of each one left out."""
 
     @property
     def fits(self) -> dict[str, Identification]:

@@ -36,7 +36,7 @@ VARIABLES = (
 class BasinFractions(AbstractMapResponse):
     """How many attractors a box of starts leads to, and the shares of their basins.
 
-        vj.parameter_map(make, frequency=..., response=vj.BasinFractions(
+        vj.parameter_map(make, frequency=..., response=vj.maps.BasinFractions(
             start, angle=vj.Range(-0.2, 0.2), rate=vj.Range(-5.0, 5.0)))
 
     At every frequency: `attractors` (motions without a period are one or two), `periodic_share`

@@ -127,8 +127,8 @@ def parameter_map(
         frequency: the same in Hz; give one of the two.
         response: what is computed, with which settings: `vj.SweepSettings(...)` (settled),
             `vj.PeriodicSettings(...)`, `vj.ContinuationSettings(...)`, `vj.RegimeSettings(...)`, as
-            the single studies take them, or `vj.BasinFractions(...)`; or by name with the settings
-            by default, `sweep`, `periodic`, `continuation`, `regimes`.
+            the single studies take them, or `vj.maps.BasinFractions(...)`; or by name with the
+            settings by default, `sweep`, `periodic`, `continuation`, `regimes`.
         measures: what to keep of every curve: names (`peak_amplitude_ratio`, `jump_up`, ...) or
             functions from a curve (a dict of arrays by name) to a number, in a list, or in a dict
             by name. By default whole curves and all measures.
@@ -339,5 +339,5 @@ def chosen_response(response: Any) -> AbstractMapResponse:
     raise ValueError(
         f"response must be one of {', '.join(map(repr, RESPONSES))}, or one of "
         "vj.SweepSettings(), vj.PeriodicSettings(), vj.ContinuationSettings(), "
-        f"vj.RegimeSettings(), vj.BasinFractions(...), got {response!r}."
+        f"vj.RegimeSettings(), vj.maps.BasinFractions(...), got {response!r}."
     )

@@ -65,7 +65,7 @@ def _judge(axes, laws: xarray.Dataset, names: list[str]) -> None:
         axes.barh(places, values.mean("record"), height=0.6, color=colors, alpha=0.45)
         each = values.transpose("record", "law").values
         axes.plot(each.T, np.tile(places[:, None], len(each)), "o", color="black", markersize=4)
-        axes.set_xscale("log")
+        axes.set_xlim(left=0.0)
         axes.axvline(1.0, color=COLORS["grey"], linestyle=":")
     else:
         told = "Akaike's criterion above its least"
