@@ -26,7 +26,7 @@ FACTORS = (0.1, 0.3, 3.0, 10.0)
 """By which the stiffness is multiplied around a hopeless guess, and where a search ended poorly."""
 WORSE = 3.0
 """Factor of chi-square by which a stiffer stop is so much worse that stiffer ones are left out."""
-MOST_HOPS, HOP = 2, 0.1
+MOST_HOPS, HOP = 4, 0.1
 """How often histories may begin another sample sooner or later, and what that has to gain."""
 NEARER = 0.05
 """Fall of chi-square, once all curves are followed anew, after which a search goes on."""
