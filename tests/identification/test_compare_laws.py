@@ -1,10 +1,14 @@
 """Which law explains force records: the one that made them; none, where another thing did."""
 
+from types import SimpleNamespace
+
 import matplotlib.figure
 import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.identification import Identification
+from vibrojax.identification.law_comparison import Judged, LawComparison
 from vibrojax.io import MeasuredHistory
 
 LAWS = ["no_tension", "hunt_crossley"]
@@ -74,3 +78,33 @@ def test_what_cannot_be_compared_is_refused():
         call = dict(make_system=cart, measured=run) | settings
         with pytest.raises(ValueError, match=words):
             vj.compare_laws(call.pop("make_system"), call.pop("measured"), **call)
+
+
+def test_it_is_said_when_no_law_explains_the_records_and_which_are_alike():
+    def fit(chi_square, numbers):
+        names = tuple(f"n{k}" for k in range(numbers))
+        parts = dict(
+            chi_square=chi_square,
+            degrees_of_freedom=100 - numbers,
+            estimate=dict.fromkeys(names, 1.0),
+            interval=dict.fromkeys(names, (0.5, 2.0)),
+            measured=(SimpleNamespace(label="run 1"), SimpleNamespace(label="")),
+        )
+        made = object.__new__(Identification)  # what a comparison reads of it
+        for name, value in parts.items():
+            object.__setattr__(made, name, value)
+        return made
+
+    def compared(*laws):
+        return LawComparison({name: Judged(fit(*own), left) for name, own, left in laws})
+
+    bad = compared(("hertz", (900.0, 1), (9.0, 11.0)), ("stiff", (880.0, 2), (12.0, 12.0)))
+    assert bad.best == "hertz"
+    first, alike = bad.warnings
+    assert first.startswith("None of the laws explains the records: with the best, hertz")
+    # Misfits that all share count for little: chi-square over the least reduced one.
+    assert alike.endswith("do not tell hertz from stiff.")
+    assert bad.to_xarray()["record"].values.tolist() == ["run 1", "2"]
+    good = compared(("hertz", (100.0, 1), ()), ("stiff", (60.0, 2), ()))
+    assert (good.best, good.warnings) == ("stiff", ())
+    np.testing.assert_allclose(good.to_xarray()["akaike"], [38.0, 0.0])
