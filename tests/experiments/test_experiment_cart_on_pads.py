@@ -40,6 +40,7 @@ def test_mass_by_the_impulse(pads):
 
 
 @pytest.mark.slow
+@pytest.mark.long  # the notebook of it fits too
 def test_runs_on_the_thick_pad_agree_and_the_thin_pad_is_refused(pads):
     thick, thin = pads.records(40), pads.records(4)
     for name in ("Run 4", "Run 5"):
@@ -52,6 +53,7 @@ def test_runs_on_the_thick_pad_agree_and_the_thin_pad_is_refused(pads):
 
 
 @pytest.mark.slow
+@pytest.mark.long  # the notebook of it fits too
 def test_the_force_alone_does_not_know_the_mass(pads):
     """A heavier and slower cart on a stiffer pad makes the same force."""
     run = pads.records(40)["Run 4"]

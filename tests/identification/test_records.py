@@ -90,6 +90,7 @@ def test_derivatives_in_numbers_of_records():
 
 
 @pytest.mark.slow
+@pytest.mark.long  # laws are compared with several records, too
 def test_private_beginnings_of_several_records():
     """Each record has its own velocity; the stop is the same, and blanks need not agree."""
     speeds = {"slow": 0.5, "fast": 1.1}

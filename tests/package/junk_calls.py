@@ -102,6 +102,17 @@ def settings(**own):
     return own
 
 
+RECORD = vj.io.MeasuredHistory(
+    np.linspace(0.0, 0.5, 20),
+    contact_force=np.maximum(np.sin(np.linspace(0.0, 6.0, 20)), 0.0),
+    initial_velocity=0.5,
+)
+
+
+def by_law(law, mass):
+    return vj.model.Oscillator(mass, stops=(vj.Stop(None, 0.0, law),))
+
+
 CALLS = {
     "Cantilever": (vj.Cantilever, SIZES),
     "PointMass": (vj.PointMass, dict(mass=0.1)),
@@ -273,6 +284,10 @@ CALLS = {
     "identify": (
         vj.identify,
         dict(make_system=rig, measured=MEASURED, guess={"stiffness": 5e3}, gap=1e-4),
+    ),
+    "compare_laws": (
+        vj.compare_laws,
+        dict(make_system=by_law, measured=RECORD, laws=["hertz", "no_tension"], mass=0.5),
     ),
     "check_resolution": (vj.check_resolution, dict(study=reached, system=RIG)),
     "zipped": (vj.zipped, dict(gap=[1.0, 2.0], taper=[0.0, 0.1])),
