@@ -12,7 +12,7 @@ from vibrojax.identification.identify import identify
 from vibrojax.identification.law_candidates import Candidate, candidates_of, impact_of
 from vibrojax.identification.law_comparison import Judged, LawComparison
 from vibrojax.identification.problem import Problem, fitted_and_held
-from vibrojax.identification.record_numbers import RECORD_NUMBERS, with_numbers
+from vibrojax.identification.record_numbers import record_numbers_in, with_numbers
 from vibrojax.measured.history import MeasuredHistory
 from vibrojax.model.systems import AbstractSystem
 
@@ -135,11 +135,12 @@ def _foretold(
     """Mean square of the residuals, in deviations, of a record that the fit has not seen."""
     known = inspect.signature(make).parameters
     shared: dict[str, Any] = {n: v for n, v in fit.estimate.items() if n in known}
-    record = with_numbers(record, {n: v for n, v in fit.estimate.items() if n in RECORD_NUMBERS})
+    own = record_numbers_in(make, fit.estimate)
+    record = with_numbers(record, {name: fit.estimate[name] for name in own})
     count = len(record.observations().value)
     if private:
-        own = {name: guess[name] for name in private}
-        return identify(make, record, own, **settings, **numbers, **shared).chi_square / count
+        first = {name: guess[name] for name in private}
+        return identify(make, record, first, **settings, **numbers, **shared).chi_square / count
     coordinates, held = fitted_and_held(make, (record,), shared, {}, (), {}, numbers)
     problem = Problem(make, [(record,)], coordinates, "distance", held)
     residual, _ = problem.evaluate(problem.guess[None], np.zeros(1, int), 1.0, precisely=True)

@@ -207,8 +207,6 @@ class HistoryMisfit:
 
         The misfit jumps whenever a sample passes a jump of the force.
         """
-        if not self.can_hop:
-            return []
         time, _, _ = self.data.of_channel(repetition, self.sharp[0])
         place, found = int(np.searchsorted(time, -shift)), []
         for low in (place - 2, place):

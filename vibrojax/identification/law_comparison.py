@@ -47,8 +47,7 @@ class LawComparison:
     @property
     def _inflation(self) -> float:
         """Least reduced chi-square of all laws, at least 1."""
-        fits = self.fits.values()
-        return max(1.0, min(fit.chi_square / fit.degrees_of_freedom for fit in fits))
+        return max(1.0, min(fit.reduced_chi_square for fit in self.fits.values()))
 
     def _criterion(self, weight: float | None) -> Float[np.ndarray, " laws"]:
         found = []
@@ -61,22 +60,26 @@ class LawComparison:
     @property
     def best(self) -> str:
         """The law that foretells records left out best; of one record, of the least criterion."""
+        return self._order[0]
+
+    @property
+    def _order(self) -> list[str]:
+        """The laws, the best first."""
         data = self.to_xarray()
         by = data["foretold"].mean("record") if "foretold" in data else data["akaike"]
-        return str(data["law"].values[int(np.argmin(by.values))])
+        return [str(name) for name in data["law"].values[np.argsort(by.values, kind="stable")]]
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a person should know: no law explains the records, or several do equally well."""
         found, best = [], self.best
         fit = self.fits[best]
-        reduced = fit.chi_square / fit.degrees_of_freedom
         if scipy.stats.chi2.sf(fit.chi_square, fit.degrees_of_freedom) < UNLIKELY:
             found.append(
                 f"None of the laws explains the records: with the best, {best}, the reduced "
-                f"chi-square is {reduced:.3g}. Its numbers describe the records no better than "
-                "that, whatever their intervals; something else happens (a pad that bottoms out, "
-                "a body that bends, a sensor that is not as it is said to be)."
+                f"chi-square is {fit.reduced_chi_square:.3g}. Its numbers describe the records no "
+                "better than that, whatever their intervals; something else happens (a pad that "
+                "bottoms out, a body that bends, a sensor that is not as it is said to be)."
             )
         akaike = dict(zip(self.fits, self._criterion(2.0), strict=True))
         alike = [n for n, v in akaike.items() if n != best and v < akaike[best] + AS_GOOD]
@@ -138,12 +141,9 @@ class LawComparison:
         lines = [f"LawComparison({len(self.fits)} laws; best: {best})"]
         head = f"  {'law':<24}{'reduced chi-square':>20}{'Akaike':>9}{'Bayes':>9}"
         lines.append(head + f"{'left out':>10}" * left_out)
-        order = data["foretold"].mean("record") if left_out else data["akaike"]
-        for k in np.argsort(order.values):
-            row = data.isel(law=int(k))
-            fit = self.fits[str(row["law"].item())]
-            reduced = fit.chi_square / fit.degrees_of_freedom
-            line = f"  {row['law'].item():<24}{reduced:>20.3g}"
+        for name in self._order:
+            row, fit = data.sel(law=name), self.fits[name]
+            line = f"  {name:<24}{fit.reduced_chi_square:>20.3g}"
             line += f"{row['akaike'].item():>9.3g}{row['bayes'].item():>9.3g}"
             lines.append(line + (f"{row['foretold'].mean().item():>10.3g}" if left_out else ""))
         for name in self.fits[best].names:

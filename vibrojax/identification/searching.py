@@ -99,10 +99,10 @@ class Searches:
         models = [
             (k, model)
             for k, model in enumerate(self.problem.misfits)
-            if isinstance(model, HistoryMisfit)
+            if isinstance(model, HistoryMisfit) and model.can_hop
         ]
         repetitions = range(len(self.ended))
-        for _ in range(MOST_HOPS if any(model.can_hop for _, model in models) else 0):
+        for _ in range(MOST_HOPS if models else 0):
             points, which, held = [], [], []
             for k in repetitions:
                 point = self.best(k).point

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.measured.scatter import NORMAL
+from vibrojax.measured.scatter import spread
 
 LEAST_SHARE = 0.1
 """Of the largest force, above which there is contact."""
@@ -21,11 +21,10 @@ def windows_of_impacts(
 ) -> list[tuple[float, float]]:
     """Return a window (s) around each impact; see `MeasuredHistory.impacts`."""
     there = np.flatnonzero(np.isfinite(force))
-    time, size = time[there], np.abs(force[there] - np.median(force[there]))
+    time, off = time[there], force[there] - np.median(force[there])
     if threshold is None:
-        noise = float(np.median(size)) / NORMAL
-        threshold = max(LEAST_SHARE * float(size.max()), ABOVE_NOISE * noise)
-    touching = np.flatnonzero(size > threshold)
+        threshold = max(LEAST_SHARE * float(np.abs(off).max()), ABOVE_NOISE * spread(off))
+    touching = np.flatnonzero(np.abs(off) > threshold)
     parts = np.split(touching, np.flatnonzero(np.diff(touching) > FEWEST) + 1)
     parts = [part for part in parts if len(part) >= FEWEST]
     if not parts:
