@@ -220,7 +220,7 @@ def _results(
                 columns,
                 special_results(paths, k, special[k], plan.period),
                 ticks=walk.search.asked,
-                curve=curve_of(walk),
+                curve=curve_of(walk, special[k]),
             )
         )
     return results

@@ -57,11 +57,11 @@ def special_results(
     )
 
 
-def curve_of(walk: Walk) -> ExactCurve:
-    """What of a walk is kept with its branch."""
-    search = walk.search
+def curve_of(walk: Walk, found: list[Special]) -> ExactCurve:
+    """What of a walk and its special points is kept with its branch."""
+    search, specials = walk.search, tuple(special.motion for special in found)
     points, touches = tuple(walk.points), tuple(walk.touches)
-    return ExactCurve(search.unit, search.scale, search.smooth, points, touches)
+    return ExactCurve(search.unit, search.scale, search.smooth, points, touches, specials)
 
 
 def walk_of(curve: ExactCurve, period: int, bounds: tuple[float, float]) -> Walk:

@@ -41,6 +41,8 @@ class ExactCurve(NamedTuple):
     """Whether the curve has no corner at a touch."""
     motions: tuple[OnCurve, ...]
     touches: tuple[Touch, ...]
+    specials: tuple[OnCurve, ...]
+    """Motions of the special points, in their order."""
 
 
 class SpecialPoint(eqx.Module):

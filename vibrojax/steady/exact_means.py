@@ -25,10 +25,12 @@ def _mean_growth(exponent: Complex[Array, "..."], grown: Complex[Array, "..."]) 
     return jnp.where(near, series, (grown - 1) / jnp.where(near, 1.0, exponent))
 
 
-def _terms(tables: Tables, motion: PiecewiseMotion, segment: Int[Array, ""]) -> tuple[Terms, Terms]:
-    """The reported displacement over a segment as a sum of exponentials of the time since its
+def _terms(
+    tables: Tables, motion: PiecewiseMotion, segment: Int[Array, ""], row: int
+) -> tuple[Terms, Terms]:
+    """A row of the read-out over a segment as a sum of exponentials of the time since its
     beginning: amplitudes, and rates in 1/s."""
-    phases, n, row = tables.phases, tables.phases.num_blocks, 3 * tables.phases.num_stops
+    phases, n = tables.phases, tables.phases.num_blocks
     phase, blocks = motion.phase[segment], motion.blocks[:, segment]
     left, right = phases.readout[phase, row, :n], phases.readout[phase, row, n:]
     decay, turn = phases.exponent[phase], phases.rate[phase]
@@ -57,7 +59,7 @@ def mean_square_and_harmonic(
     def add(j: Int[Array, ""], sums: tuple[Array, Array]) -> tuple[Array, Array]:
         angle = motion.stop[j] - motion.start[j]
         time = angle / w
-        amplitudes, rates = _terms(tables, motion, j)
+        amplitudes, rates = _terms(tables, motion, j, 3 * tables.phases.num_stops)
         exponents = rates * time
         grown = jnp.exp(exponents)
         pairs = exponents[:, None] + exponents
@@ -74,3 +76,36 @@ def mean_square_and_harmonic(
     size = harmonic.real**2 + harmonic.imag**2
     modulus = jnp.where(size > 0, jnp.sqrt(jnp.where(size > 0, size, 1.0)), 0.0)
     return square / whole, 2 * modulus / whole
+
+
+def mean_force(tables: Tables, motion: PiecewiseMotion, period: int) -> Float[Array, ""]:
+    """Mean of the contact force over the motion, N, all stops together.
+
+    No block may be driven in resonance.
+    """
+    phases, stops = tables.phases, tables.phases.num_stops
+    w = tables.angular_frequency
+
+    def add(j: Int[Array, ""], total: Array) -> Array:
+        angle = motion.stop[j] - motion.start[j]
+        for s in range(stops):
+            force = jnp.zeros(())
+            for row, factor in ((s, phases.stiffness[s]), (stops + s, phases.damping[s])):
+                amplitudes, rates = _terms(tables, motion, j, row)
+                exponents = rates * (angle / w)
+                mean = amplitudes @ _mean_growth(exponents, jnp.exp(exponents))
+                force = force + factor * mean.real
+            held = ((motion.phase[j] >> s) & 1) == 1
+            total = total + jnp.where(held, force * angle, 0.0)
+        return total
+
+    total = jax.lax.fori_loop(0, motion.start.size, add, jnp.zeros_like(w))
+    return total / (2 * np.pi * period)
+
+
+def contact_fraction(
+    tables: Tables, motion: PiecewiseMotion, period: int
+) -> Float[Array, ""]:
+    """Share of the time in contact with any stop."""
+    length = jnp.maximum(motion.stop - motion.start, 0.0)
+    return jnp.sum(jnp.where(motion.phase > 0, length, 0.0)) / (2 * np.pi * period)

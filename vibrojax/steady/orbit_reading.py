@@ -78,9 +78,10 @@ def look(
     return rows
 
 
-def _segment_of(
+def segment_of(
     motion: PiecewiseMotion, angle: Float[ArrayLike, "*places"]
 ) -> Int[Array, "*places"]:
+    """Index of the segment of a motion in which a drive phase (rad) after its section lies."""
     found = jnp.searchsorted(motion.stop, angle, side="left")
     return jnp.minimum(found, motion.stop.size - 1)
 
@@ -102,7 +103,7 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
     place = jnp.minimum(jnp.searchsorted(touched, share), touched.size - 1)
     inside = motion.stop[place] - (touched[place] - share)
     angles = jnp.concatenate([angle, inside])
-    segment = jnp.concatenate([_segment_of(motion, angle), place])
+    segment = jnp.concatenate([segment_of(motion, angle), place])
     rows = look(tables, motion, segment, angles)
     response = rows[3 * stops, :grid]
 
@@ -118,7 +119,7 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
     near = begin + jnp.mod(near - begin, whole)
     # With them the moments of touch, where the force of a stop with damping is largest.
     places = motion.start.size
-    fine_segment = jnp.concatenate([_segment_of(motion, near.reshape(-1)), jnp.arange(places)])
+    fine_segment = jnp.concatenate([segment_of(motion, near.reshape(-1)), jnp.arange(places)])
     fine = look(tables, motion, fine_segment, jnp.concatenate([near.reshape(-1), motion.start]))
     fine, at_start = fine[:, :-places], fine[:, -places:]
     fine_segment = fine_segment[:-places]
@@ -161,7 +162,7 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
         harmonic = 2 * jnp.hypot(*(jnp.mean(response * f(angle)) for f in (jnp.sin, jnp.cos)))
     entered = (events.stop >= 0) & (motion.phase[1:] > motion.phase[:-1])
     origin = jnp.where(begin > 0, whole, 0.0)
-    at = _segment_of(motion, origin)
+    at = segment_of(motion, origin)
     return Reading(
         highest=highest,
         lowest=lowest,
@@ -236,7 +237,7 @@ def state_at(
 ) -> Float[Array, " states"]:
     """State of a motion at a drive phase (rad)."""
     angle = begin + jnp.mod(section - begin, 2 * np.pi * period)
-    return state_in(tables, motion, _segment_of(motion, angle), angle)
+    return state_in(tables, motion, segment_of(motion, angle), angle)
 
 
 class Crossings(NamedTuple):

@@ -1,0 +1,353 @@
+"""The response of one rig over a range of the drive frequency, and what can be asked of it."""
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax._tools.checks import check_range
+from vibrojax._tools.signatures import validated
+from vibrojax.branches.branch import Branch
+from vibrojax.branches.points import TURNS
+from vibrojax.design import measures
+from vibrojax.design.areas import area_of
+from vibrojax.design.known_branch import KnownBranch, Node
+from vibrojax.design.measures import Dual, NoSuchPlace, Variable, variable_of
+from vibrojax.design.pieces import Knot, Piece, knots_of, node_of, pieces_of
+
+Number = Any
+"""A float, or what JAX differentiates."""
+POWERS = ("mean_power", "peak_power")
+
+
+@jax.custom_jvp
+def _number(moved: Any, argument: Any, value: Any, slopes: Any) -> Any:
+    """Return the value; its derivatives are the slopes, the last one in the argument."""
+    return value
+
+
+@_number.defjvp
+def _number_jvp(primals: Any, tangents: Any) -> Any:
+    _, _, value, slopes = primals
+    moved, argument, _, _ = tangents
+    return value, slopes[:-1] @ moved + slopes[-1] * argument
+
+
+class Response:
+    """What a rig does over a range of the drive frequency: what objectives are made of.
+
+    Its methods return numbers with exact derivatives in the numbers of the rig: on their own they
+    are plain floats, in a function given to `slopes`, `vj.optimise` or `vj.propagate` JAX
+    differentiates through them. They are of stable motions, those that a sweep can settle on. A
+    method raises `ValueError` where the branch has no place of the kind that it is about.
+
+    Where the branch changes its shape as the rig changes (folds appear, a second contact begins), a
+    measure is that of the branch as it is, and its derivative that of the same shape: `shape` says
+    which.
+    """
+
+    branch: Branch
+    """The periodic responses, stable and unstable, all points exact."""
+
+    def __init__(
+        self,
+        branch: Branch,
+        known: KnownBranch,
+        numbers: Mapping[str, float],
+        natural: tuple[float, np.ndarray],
+        moved: Any = None,
+    ):
+        self.branch, self._known, self._values, self._natural = branch, known, dict(numbers), natural
+        self._moved = np.zeros(len(numbers)) if moved is None else moved
+        self._plain = moved is None
+        self._done: dict[Any, Dual] = {}
+
+    def _with(self, moved: Any) -> "Response":
+        """The same response, its numbers moved by what JAX is tracing."""
+        other = Response(self.branch, self._known, self._values, self._natural, moved)
+        other._done = self._done
+        other.__dict__["_stable"] = self._stable
+        return other
+
+    @validated
+    def slopes(self, function: Callable[["Response"], Any]) -> tuple[float, dict[str, float]]:
+        """Return the value of a function of this response, and its derivatives by number.
+
+        `function` takes a response and returns one number, made with `jax.numpy` of what the
+        methods return; NaN is a derivative that is not known. Raises `ValueError` for a function
+        that returns no number or cannot be differentiated.
+        """
+        value, slopes = self.differentiate(function)
+        return value, dict(zip(self._values, map(float, slopes), strict=True))
+
+    def differentiate(
+        self, function: Callable[["Response"], Any]
+    ) -> tuple[float, Float[np.ndarray, " numbers"]]:
+        """Return the value of a function of this response, and its derivatives in order."""
+        name = getattr(function, "__name__", repr(function))
+
+        def of(moved: Any) -> Any:
+            value = function(self._with(moved))
+            if np.shape(value) != () or isinstance(value, str | bytes) or value is None:
+                shape = f"an array of shape {np.shape(value)}" if np.shape(value) else repr(value)
+                raise ValueError(
+                    f"The function {name} of a response must return one number, got {shape}."
+                )
+            return jnp.asarray(value, float)
+
+        try:
+            value, push = jax.linearize(of, jnp.zeros(len(self._values)))
+        except jax.errors.JAXTypeError as error:
+            raise ValueError(
+                f"The function {name} cannot be differentiated: write it with jax.numpy and the "
+                f"operators of numbers, without float(). ({str(error).splitlines()[0]})"
+            ) from None
+        slopes = jax.vmap(push)(jnp.eye(len(self._values)))
+        return float(value), np.asarray(slopes)
+
+    # ------------------------------------------------------------------------------- what it is
+
+    @property
+    def numbers(self) -> dict[str, Number]:
+        """The numbers that the rig was made of, by name."""
+        unit = np.eye(len(self._values) + 1)[:-1]
+        return {
+            name: self._give(Dual(value, unit[k]))
+            for k, (name, value) in enumerate(self._values.items())
+        }
+
+    @property
+    def natural_frequency(self) -> Number:
+        """First natural frequency of the unstopped rig, Hz."""
+        return self._give(Dual(self._natural[0], np.append(self._natural[1], 0.0)))
+
+    @property
+    def shape(self) -> str:
+        """What kind of branch it is: its stable parts, folds and touches, in order along it."""
+        kinds = [point.kind for point in self.branch.special_points]
+        counted = [f"{len(self._stable)} stable"] + [k.replace("_", " ") for k in kinds]
+        return ", ".join(counted)
+
+    # ---------------------------------------------------------------------------------- measures
+
+    @validated(traceable=True)
+    def peak(self, variable: str = "amplitude_ratio", *, stable: bool = True) -> Number:
+        """Return the largest value of a variable over the range.
+
+        `variable` is a curve of a branch (`amplitude_ratio`, `peak_ratio`, `rms_ratio`,
+        `first_harmonic_ratio`, `contact_force` in N, `contact_fraction`, and what a harvester
+        reports), or `impulse`: that of all contacts in a drive period, N s. With `stable=False`
+        unstable motions count too. Raises `ValueError` for an unknown variable.
+        """
+        return self._give(self._peak(variable, stable).height)
+
+    @validated(traceable=True)
+    def peak_frequency(self, variable: str = "amplitude_ratio") -> Number:
+        """Return where a variable is largest, in the unit of the frequency axis.
+
+        Raises `ValueError` for an unknown variable.
+        """
+        key = "peak frequency", variable
+        if key not in self._done:
+            peak = self._peak(variable, True)
+            self._done[key] = measures.peak_frequency_of(peak, self._variable(variable))
+        return self._give(self._done[key])
+
+    @validated(traceable=True)
+    def resonance_shift(self, variable: str = "amplitude_ratio") -> Number:
+        """Return the frequency of the peak less the first natural one of the unstopped rig.
+
+        In the unit of the frequency axis. Raises `ValueError` for an unknown variable.
+        """
+        linear = 1.0 if self.branch.axis == "frequency_ratio" else self.natural_frequency
+        return self.peak_frequency(variable) - linear
+
+    @validated(traceable=True)
+    def at(self, variable: str, frequency: Number, *, of: str = "upper") -> Number:
+        """Return a variable at a frequency, on the `upper` or `lower` stable part.
+
+        `frequency` is in the unit of the frequency axis. Raises `ValueError` for an unknown
+        variable, or where no stable motion is.
+        """
+        own, at, upper = self._variable(variable), _plain(frequency), _is_upper(of)
+        key = "at", variable, at, upper
+        if key not in self._done:
+            self._done[key] = measures.at_frequency(self._stable, own, at, upper)
+        return self._give(self._done[key], frequency)
+
+    @validated(traceable=True)
+    def fold_frequency(self, number: int = -1) -> Number:
+        """Return where the branch folds, in the unit of the frequency axis.
+
+        `number` counts folds by frequency: 0 is the lowest, -1 the highest. Raises `ValueError`
+        where there are not so many.
+        """
+        return self._give(measures.frequency_of(self._fold(number)))
+
+    @validated(traceable=True)
+    def fold_height(self, variable: str = "amplitude_ratio", number: int = -1) -> Number:
+        """Return a variable at a fold.
+
+        `number` counts folds by frequency: 0 is the lowest, -1 the highest. Raises `ValueError`
+        where there are not so many, or for an unknown variable.
+        """
+        return self._give(self._variable(variable).of(self._fold(number)))
+
+    @validated(traceable=True)
+    def hysteresis_width(self) -> Number:
+        """Return over how wide a band of the frequency two or more stable motions exist.
+
+        0 where there is none; it grows from there without a jump.
+        """
+        if "hysteresis" not in self._done:
+            spans = measures.covered(list(map(measures.span_of, self._stable)), least=2)
+            self._done["hysteresis"] = measures.length(spans, self._known)
+        return self._give(self._done["hysteresis"])
+
+    @validated(traceable=True)
+    def bandwidth(
+        self, level: Number, variable: str = "amplitude_ratio", *, of: str = "upper"
+    ) -> Number:
+        """Return over how wide a band of the frequency a variable is above a level.
+
+        On the `upper` stable part it counts where one of the stable motions is above, on the
+        `lower` where all are. Raises `ValueError` for an unknown variable.
+        """
+        own, at, upper = self._variable(variable), _plain(level), _is_upper(of)
+        key = "bandwidth", variable, at, upper
+        if key not in self._done:
+            over = [span for p in self._stable for span in measures.above(p, own, at)]
+            total = measures.length(measures.covered(over), self._known)
+            if not upper:
+                # Where a stable motion exists that is not above does not count.
+                every = list(map(measures.span_of, self._stable))
+                depth = max(len(every), 1)
+                total = measures.still(0.0, self._known)
+                for least in range(1, depth + 1):
+                    both = _both(measures.covered(every, least), measures.covered(over, least))
+                    higher = measures.covered(every, least + 1)
+                    alone = measures.length(both, self._known)
+                    twice = measures.length(_both(both, higher), self._known)
+                    total = Dual(
+                        total.value + alone.value - twice.value,
+                        total.slopes + alone.slopes - twice.slopes,
+                    )
+            self._done[key] = total
+        return self._give(self._done[key], level)
+
+    @validated(traceable=True)
+    def half_power_bandwidth(
+        self, variable: str = "amplitude_ratio", *, of: str = "upper"
+    ) -> Number:
+        """Return the bandwidth above the peak over the root of two, of a power half of the peak.
+
+        Raises `ValueError` for an unknown variable.
+        """
+        share = 0.5 if variable in POWERS else 0.5**0.5
+        return self.bandwidth(share * self.peak(variable), variable, of=of)
+
+    @validated(traceable=True)
+    def area(
+        self,
+        variable: str = "amplitude_ratio",
+        *,
+        of: str = "upper",
+        low: float | None = None,
+        high: float | None = None,
+    ) -> Number:
+        """Integrate a variable over the frequency, on the `upper` or `lower` stable part.
+
+        `low` and `high` bound the band, by default that of the range. Raises `ValueError` for an
+        unknown variable, a band that is not in the range, or where no stable motion is.
+        """
+        a, b = self._band(low, high)
+        own, upper = self._variable(variable), _is_upper(of)
+        key = "area", variable, a, b, upper
+        if key not in self._done:
+            self._done[key] = area_of(self._stable, own, a, b, upper)
+        return self._give(self._done[key])
+
+    @validated(traceable=True)
+    def mean(
+        self,
+        variable: str = "amplitude_ratio",
+        *,
+        of: str = "upper",
+        low: float | None = None,
+        high: float | None = None,
+    ) -> Number:
+        """Return the mean of a variable over the band; otherwise as `area`.
+
+        `low` and `high` bound the band. Raises `ValueError` as `area` does.
+        """
+        a, b = self._band(low, high)
+        return self.area(variable, of=of, low=low, high=high) / (b - a)
+
+    # ------------------------------------------------------------------------------------ inside
+
+    @cached_property
+    def _stable(self) -> list[Piece]:
+        return pieces_of(self._known)
+
+    @cached_property
+    def _every(self) -> list[Piece]:
+        return pieces_of(self._known, stable=False)
+
+    def _variable(self, name: str) -> Variable:
+        return variable_of(name, self.branch.ratio_units)
+
+    def _peak(self, variable: str, stable: bool) -> measures.Peak:
+        own, key = self._variable(variable), ("peak", variable, stable)
+        if key not in self._done:
+            self._done[key] = measures.peak_of(self._stable if stable else self._every, own)  # pyright: ignore
+        return self._done[key]  # pyright: ignore
+
+    def _fold(self, number: int) -> Node:
+        folds: list[Knot] = [k for k in knots_of(self._known) if k.kind in TURNS]
+        folds.sort(key=lambda knot: knot.motion.parameter)
+        if not -len(folds) <= number < len(folds):
+            raise NoSuchPlace(f"The branch has {len(folds)} folds: there is no number {number}.")
+        key = "fold", number % len(folds)
+        if key not in self._done:
+            self._done[key] = node_of(self._known, folds[number])  # pyright: ignore
+        return self._done[key]  # pyright: ignore
+
+    def _band(self, low: float | None, high: float | None) -> tuple[float, float]:
+        start, end = self.branch.range
+        a, b = start if low is None else float(low), end if high is None else float(high)
+        for name, value in (("low", a), ("high", b)):
+            allowed = f"from {start:g} to {end:g}, the range of the response"
+            check_range(name, value, start, end, allowed=allowed)
+        if not a < b:
+            raise ValueError(f"low must be below high, got {a:g} and {b:g}.")
+        return a, b
+
+    def _give(self, dual: Dual, argument: Any = 0.0) -> Number:
+        if self._plain:
+            return dual.value
+        value, slopes = jnp.asarray(dual.value, float), jnp.asarray(dual.slopes)
+        return _number(self._moved, jnp.asarray(argument, float), value, slopes)
+
+    def __repr__(self) -> str:
+        numbers = ", ".join(f"{name}={value:g}" for name, value in self._values.items())
+        return f"Response({numbers}; {self.branch.axis} {self.branch.range}; {self.shape})"
+
+
+def _both(a: list[Any], b: list[Any]) -> list[Any]:
+    """Where spans of both lists are, each without overlaps."""
+    return measures.covered([*a, *b], least=2)
+
+
+def _plain(number: Any) -> float:
+    """The value of what JAX may be differentiating."""
+    return float(jax.lax.stop_gradient(number))
+
+
+def _is_upper(of: str) -> bool:
+    if of not in ("upper", "lower"):
+        raise ValueError(f"of must be 'upper' or 'lower', got {of!r}.")
+    return of == "upper"
