@@ -72,20 +72,23 @@ def test_indices_of_ishigami_are_those_in_closed_form():
     assert found.evaluations == 1 + 64 + 2048 * 5
     data = found.to_xarray()
     assert data["sobol_total"].dims == ("measure", "number")
-    assert "Sobol, total: one" in repr(found)
+    assert "Sobol, with others: one" in repr(found)
     found.plot()
 
 
 def test_jumps_and_bends_are_said():
     found = scattered(
         {
-            "jumping": lambda x: jnp.where(x[0] > 3.1e-4, 5.0, 1.0) + 1e3 * x[0],
+            "jumping": lambda x: jnp.where(x[0] > 3.1e-4, 5.0, 1.0) + 1e-3 * x[1],
             "bending": lambda x: ((x[0] - 3e-4) / 2e-5) ** 2,
         }
     )
-    assert "it jumps within these distributions, none of" in found.findings["jumping"]
-    assert "between 1.31 and 5.31" in found.findings["jumping"]
-    assert found.findings["bending"].startswith("First order gives 0 % of the scatter: it is not")
+    above = int(np.sum(found.samples[:, 0] > 3.1e-4))
+    told = f"it jumps: {above} of 64 rigs lie 4 above the line of the others, none between."
+    assert told in found.findings["jumping"]
+    bending = found.findings["bending"]
+    assert bending.startswith("First order gives 0 % of the scatter: within these")
+    assert "it is not linear. Go by the samples." in bending
 
 
 def test_lost_rigs_are_counted_and_left_out(tmp_path):

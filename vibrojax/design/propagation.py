@@ -19,9 +19,11 @@ QUANTILES = np.array([0.05, 0.5, 0.95])
 ALIKE = 0.1
 """Relative difference within which first order and samples say the same."""
 APART = 0.25
-"""Share of the range of all values that a jump leaves empty, at least."""
+"""Share of the range of what first order leaves over that a jump leaves empty, at least."""
 FEW = 16
 """Samples from which it is told whether the measure jumps or bends."""
+ROUNDING = 1e-12
+UNSAID = "nothing is said why."
 
 
 class Propagation(AbstractSaved):
@@ -109,50 +111,43 @@ class Propagation(AbstractSaved):
         return {name: self._finding(k) for k, name in enumerate(self.measures)}
 
     def _finding(self, k: int) -> str:
-        values = np.sort(self.values[np.isfinite(self.values[:, k]), k])
+        kept = np.isfinite(self.values[:, k])
+        values = self.values[kept, k]
         first, scatter = self.first_order_deviation[k], self.deviation[k]
         if not values.size:
             return "None of the rigs has a value."
         if not np.isfinite(first):
             missing = "value" if np.isnan(self.value[k]) else "gradient"
-            why = f": {self.note}" if self.note else ""
+            why = f": {self.note}" if self.note else "."
             return f"First order is not known, as the rig at the means has no {missing}{why}"
-        if scatter <= 1e-12 * np.max(np.abs(values)):
+        if scatter <= ROUNDING * np.max(np.abs(values)):
             return "It does not scatter with these numbers."
-        told = f"First order gives {100 * first / scatter:.3g} % of the scatter"
-        linear = self.value[k] + (self.samples - self.means) @ self.gradient[k]
-        rest = np.nanstd(self.values[:, k] - linear) / scatter
-        shift = abs(self.mean[k] - self.value[k]) / scatter
-        if abs(first / scatter - 1) <= ALIKE and rest <= np.sqrt(ALIKE) and shift <= ALIKE:
-            return f"{told}: within these distributions it is nearly linear."
-        inner = slice(values.size // 10, values.size - values.size // 10)
-        steps = np.diff(values[inner])
-        if values.size >= FEW and steps.max() > APART * np.ptp(values):
-            low, high = values[inner][np.argmax(steps) :][:2]
-            return (
-                f"{told}: it jumps within these distributions, none of the rigs lies between "
-                f"{low:.4g} and {high:.4g}. Go by the samples."
-            )
-        return f"{told}: it is not linear within these distributions. Go by the samples."
+        told = f"First order gives {100 * first / scatter:.3g} % of the scatter:"
+        off = values - self.value[k] - (self.samples[kept] - self.means) @ self.gradient[k]
+        alike = abs(first / scatter - 1) <= ALIKE and abs(np.mean(off)) <= ALIKE * scatter
+        if alike and np.var(off) <= ALIKE * scatter**2:
+            return f"{told} within these distributions it is nearly linear."
+        return f"{told} within these distributions it {_how_it_bends(off)}. Go by the samples."
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a person should know: rigs that have no value, and the first note on why."""
-        found = []
+        found: dict[str, list[str]] = {}
         for k, name in enumerate(self.measures):
             at = np.flatnonzero(~np.isfinite(self.values[:, k]))
             if at.size:
-                note = self.notes[at[0]] or "nothing is said why."
-                found.append(
-                    f"{name}: {at.size} of {len(self.values)} rigs have no value and are left out; "
-                    f"the first, at {self._place(int(at[0]))}: {note}"
+                text = (
+                    f"{at.size} of {len(self.values)} rigs have no value and are left out; the "
+                    f"first, at {self._place(int(at[0]))}: {self.notes[at[0]] or UNSAID}"
                 )
+                found.setdefault(text, []).append(name)
             if self.sobol is not None and self.sobol.base[k] < self.sobol.asked:
-                found.append(
-                    f"{name}: Sobol indices are from {self.sobol.base[k]} of {self.sobol.asked} "
-                    "base samples, as some rigs of the others have no value."
+                text = (
+                    f"Sobol indices are from {self.sobol.base[k]} of {self.sobol.asked} base "
+                    "samples, as some rigs of the others have no value."
                 )
-        return tuple(found)
+                found.setdefault(text, []).append(name)
+        return tuple(f"{', '.join(names)}: {text}" for text, names in found.items())
 
     def _place(self, sample: int) -> str:
         pairs = zip(self.numbers, self.samples[sample], strict=True)
@@ -225,14 +220,15 @@ class Propagation(AbstractSaved):
 
     def __repr__(self) -> str:
         head = ("value", "1st order", "mean", "deviation", "5 %", "50 %", "95 %", "lost")
-        names = []
-        for name in self.measures:
-            units = self._about(name)[0]
-            names.append(name if units in PLAIN else f"{name} ({units})")
+        pairs = [(name, self._about(name)[0]) for name in self.measures]
+        names = [name if units in PLAIN else f"{name} ({units})" for name, units in pairs]
         wide = max(map(len, (*names, "measure")))
+        measures, numbers = (
+            f"{len(one)} {word}{'s' * (len(one) != 1)}"
+            for one, word in ((names, "measure"), (self.numbers, "number"))
+        )
         lines = [
-            f"Propagation({len(names)} measures of {len(self.numbers)} numbers, "
-            f"{self.evaluations} rigs)",
+            f"Propagation({measures} over {numbers}, {self.evaluations} rigs)",
             f"  {'measure':<{wide}}" + "".join(f"{word:>11}" for word in head),
         ]
         columns = (self.value, self.first_order_deviation, self.mean, self.deviation)
@@ -244,10 +240,30 @@ class Propagation(AbstractSaved):
             lines.append(f"  {name}: {self.findings[name]}")
             lines.append(f"    variance of first order: {self._parts(self.share[k])}")
             if self.sobol is not None:
-                lines.append(f"    Sobol, first: {self._parts(self.sobol.first[k])}")
-                lines.append(f"    Sobol, total: {self._parts(self.sobol.total[k])}")
+                own = self.sobol
+                alone = self._parts(own.first[k], own.first_confidence[k])
+                together = self._parts(own.total[k], own.total_confidence[k])
+                lines += [f"    Sobol, alone: {alone}", f"    Sobol, with others: {together}"]
         return "\n".join([*lines, *(f"  warning: {text}" for text in self.warnings)])
 
-    def _parts(self, shares: Float[np.ndarray, " numbers"]) -> str:
-        pairs = zip(self.numbers, shares, strict=True)
-        return ", ".join(f"{name} {100 * share:.3g} %" for name, share in pairs)
+    def _parts(self, shares: np.ndarray, half: np.ndarray | None = None) -> str:
+        """Return the shares of the numbers in words, with half widths of their intervals."""
+        widths = [""] * len(shares) if half is None else [f" ± {100 * one:.2g}" for one in half]
+        every = zip(self.numbers, shares, widths, strict=True)
+        return ", ".join(f"{name} {100 * share:.3g}{width} %" for name, share, width in every)
+
+
+def _how_it_bends(off: Float[np.ndarray, " rigs"]) -> str:
+    """Return whether a measure jumps or bends, from what first order leaves over."""
+    off = np.sort(off)
+    tail = off.size // 10
+    steps = np.diff(off[tail : off.size - tail])
+    if off.size < FEW or steps.max() <= APART * np.ptp(off):
+        return "is not linear"
+    at = tail + int(np.argmax(steps)) + 1
+    size = off[at:].mean() - off[:at].mean()
+    part, side = min((at, "below"), (off.size - at, "above"))
+    return (
+        f"jumps: {part} of {off.size} rigs lie {size:.3g} {side} the line of the others, none "
+        "between"
+    )

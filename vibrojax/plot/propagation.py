@@ -19,7 +19,7 @@ from vibrojax.plot.style import (
     name_axes,
     outside_legend,
 )
-from vibrojax.results.variables import with_unit
+from vibrojax.results.variables import PLAIN, with_unit
 
 MOST_MEASURES = 6
 HEIGHT = 2.7
@@ -27,13 +27,17 @@ HEIGHT = 2.7
 ROW = 0.24
 """What a bar takes of it, inches."""
 SHARES = (
-    ("share", "first order, by gradients", COLORS["blue"], None),
-    ("sobol_first", "Sobol index, alone", COLORS["amber"], "sobol_first_confidence"),
-    ("sobol_total", "Sobol index, with others", COLORS["green"], "sobol_total_confidence"),
+    ("share", "share of first order, by gradients", COLORS["blue"], None),
+    ("sobol_first", "Sobol index, alone (95 %)", COLORS["amber"], "sobol_first_confidence"),
+    ("sobol_total", "Sobol index, with others (95 %)", COLORS["green"], "sobol_total_confidence"),
 )
 """Variable, words, colour, and the half width of its interval."""
 BARS: dict[str, Any] = {"color": COLORS["sky"], "alpha": 0.55, "edgecolor": "white"}
-NORMAL: dict[str, Any] = {"color": COLORS["black"], "linewidth": 1.8, "label": "first order"}
+NORMAL: dict[str, Any] = {
+    "color": COLORS["black"],
+    "linewidth": 1.8,
+    "label": "normal curve of first order",
+}
 ENDS: dict[str, Any] = {"color": COLORS["orange"], "linestyle": DASHES, "linewidth": 1.5}
 
 
@@ -63,12 +67,14 @@ def _samples(axes: Axes, one: xarray.Dataset) -> None:
     """Draw the histogram of one measure, first order over it, and its quantiles."""
     dress(axes)
     name = str(one["measure"].item()).replace("_", " ")
-    label = with_unit(name[:1].upper() + name[1:], str(one["measure_units"].item()))
+    units = str(one["measure_units"].item())
+    label = with_unit(name[:1].upper() + name[1:], units)
     values = one["values"].values
     kept = values[np.isfinite(values)]
     lost = len(values) - len(kept)
     title = f"{lost} of {len(values)} rigs have no value" if lost else None
-    name_axes(axes, balanced(label, 70), "Density", title)
+    per = "1" if units in PLAIN else f"1/{units}"
+    name_axes(axes, balanced(label, 70), with_unit("Density", per), title)
     if not kept.size:
         axes.set_yticks([])
         return
@@ -97,7 +103,7 @@ def _shares(axes: Axes, one: xarray.Dataset, kinds: list[Any]) -> None:
     dress(axes)
     names = [str(name).replace("_", " ") for name in one["number"].values]
     places = np.arange(len(names), dtype=float)
-    thick = 0.8 / len(kinds)
+    thick = min(0.8 / len(kinds), 0.45)
     for k, (name, words, color, confidence) in enumerate(kinds):
         half = None if confidence is None else one[confidence].values
         axes.barh(
