@@ -128,7 +128,7 @@ def test_where_rigs_are_equally_bad_the_first_counts():
         (lambda: Robust({}), "tolerances is empty"),
         (lambda: Robust({"gap": 0.1}), r"tolerances\['gap'\] must be a Tolerance, got 0.1"),
         (lambda: Robust(TOLERANCES, "median"), "statistic must be one of 'worst', 'mean', 'quant"),
-        (lambda: Robust(TOLERANCES, quantile=90), "quantile must be from 0 to 1, got 90"),
+        (lambda: Robust(TOLERANCES, quantile=90), "quantile must be above 0 and below 1, got 90"),
         (lambda: Robust(TOLERANCES, rigs=1), "rigs must be a whole number of at least 2"),
         (lambda: judged(Robust({"gpa": Tolerance(0.1)})), "Unknown number 'gpa' in tolerances"),
         (lambda: judged(Robust(TOLERANCES), ["gap", "mass"]), "stiffness has a tolerance but no v"),

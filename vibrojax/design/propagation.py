@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 QUANTILES = np.array([0.05, 0.5, 0.95])
-ALIKE = 0.1
-"""Relative difference within which first order and samples say the same."""
+ALIKE = 0.05
+"""Largest share of the variance that first order may miss where it says the same as samples."""
 APART = 0.25
 """Share of the range of what first order leaves over that a jump leaves empty, at least."""
 FEW = 16
@@ -113,19 +113,20 @@ class Propagation(AbstractSaved):
     def _finding(self, k: int) -> str:
         kept = np.isfinite(self.values[:, k])
         values = self.values[kept, k]
-        first, scatter = self.first_order_deviation[k], self.deviation[k]
+        line = (self.samples[kept] - self.means) @ self.gradient[k]
+        scatter = self.deviation[k]
         if not values.size:
             return "None of the rigs has a value."
-        if not np.isfinite(first):
+        if not np.isfinite(self.value[k] + self.gradient[k]).all():
             missing = "value" if np.isnan(self.value[k]) else "gradient"
             why = f": {self.note}" if self.note else "."
             return f"First order is not known, as the rig at the means has no {missing}{why}"
         if scatter <= ROUNDING * np.max(np.abs(values)):
             return "It does not scatter with these numbers."
-        told = f"First order gives {100 * first / scatter:.3g} % of the scatter:"
-        off = values - self.value[k] - (self.samples[kept] - self.means) @ self.gradient[k]
-        alike = abs(first / scatter - 1) <= ALIKE and abs(np.mean(off)) <= ALIKE * scatter
-        if alike and np.var(off) <= ALIKE * scatter**2:
+        # Both of the same rigs, so that few of them do.
+        told = f"First order gives {100 * np.std(line) / scatter:.3g} % of the scatter:"
+        off = values - self.value[k] - line
+        if np.mean(off**2) <= ALIKE * scatter**2:
             return f"{told} within these distributions it is nearly linear."
         return f"{told} within these distributions it {_how_it_bends(off)}. Go by the samples."
 

@@ -60,7 +60,7 @@ class Robust:
 
         vj.design.Robust(dict(gap=vj.design.Tolerance(0.05e-3)), "quantile", quantile=0.9)
 
-    Raises `ValueError` for no tolerances, an unknown statistic, a quantile outside of 0 to 1, or
+    Raises `ValueError` for no tolerances, an unknown statistic, a quantile that is not between 0 and 1, or
     fewer than two rigs.
     """
 
@@ -84,7 +84,15 @@ class Robust:
                 "tolerances is empty: give at least one, such as dict(gap=Tolerance(2e-5))."
             )
         check_choice("statistic", self.statistic, STATISTICS)
-        check_range("quantile", self.quantile, 0.0, 1.0, allowed="from 0 to 1")
+        check_range(
+            "quantile",
+            self.quantile,
+            0.0,
+            1.0,
+            include_low=False,
+            include_high=False,
+            allowed="above 0 and below 1",
+        )
         check_count("rigs", self.rigs, least=2, most=2**16)
         check_seed(self.seed)
         object.__setattr__(self, "tolerances", dict(self.tolerances))
