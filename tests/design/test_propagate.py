@@ -47,6 +47,7 @@ def test_of_a_linear_measure_first_order_and_samples_agree():
 
 
 def test_indices_of_ishigami_are_those_in_closed_form():
+    pytest.importorskip("SALib")
     a, b = 7.0, 0.1
     angle = scipy.stats.uniform(-np.pi, 2 * np.pi)
     found = scattered(
@@ -92,6 +93,8 @@ def test_jumps_and_bends_are_said():
 
 
 def test_lost_rigs_are_counted_and_left_out(tmp_path):
+    pytest.importorskip("SALib")
+
     def lost(place):
         return "The branch ended early." if place[0] > 3.3e-4 else ""
 

@@ -60,8 +60,8 @@ class Robust:
 
         vj.design.Robust(dict(gap=vj.design.Tolerance(0.05e-3)), "quantile", quantile=0.9)
 
-    Raises `ValueError` for no tolerances, an unknown statistic, a quantile that is not between 0 and 1, or
-    fewer than two rigs.
+    Raises `ValueError` for no tolerances, an unknown statistic, a quantile that is not between 0
+    and 1, or fewer than two rigs.
     """
 
     tolerances: Mapping[str, Tolerance]
