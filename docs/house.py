@@ -11,6 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "vibrojax"
 FLOORS = (
     {"cli": "commands", "explorer": "sliders"},
     {
+        "design": "the rig wanted",
         "resolution": "how fine is enough",
         "maps": "over many numbers",
         "identification": "from measurements",

@@ -13,7 +13,7 @@ QUICK = {
     *("test_measured_curve", "test_measured_files", "test_measured_history"),
     *("test_measured_responses", "test_rig_file", "test_cli_fit", "test_interrupts"),
     *("test_tiers", "test_public_names", "test_documentation", "test_notebooks", "test_resolution"),
-    *("test_experiment_gandhi_vyas", "test_cli_cache"),
+    *("test_experiment_gandhi_vyas", "test_cli_cache", "test_propagate", "test_robust"),
 }
 """Files whose tests, but for the slow ones, are run all the time: some of every room."""
 
