@@ -7,6 +7,7 @@ these move: so derivatives along the curve are all that is needed, and folds are
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -21,8 +22,20 @@ from vibrojax.design.pieces import Between, Piece
 
 AT_END = 1e-9
 """Distance from an end of a part, over its width, that is none."""
-NODES = 3
-"""Points of Gauss's rule between two neighbouring motions of the branch."""
+FIRM = 2e-6
+"""Difference of the two rules between two points of the branch, over the whole area, up to which
+the better one counts: its own error is a hundredth of that."""
+HALVINGS = 6
+"""Of the way between two points, at the most."""
+INNER, OUTER = 5**-0.5, (2 / 3) ** 0.5
+KRONROD = (
+    np.array([-1, -OUTER, -INNER, 0, INNER, OUTER, 1]),
+    np.array([77, 432, 625, 672, 625, 432, 77]) / 2940,
+)
+"""Rule of Gauss and Lobatto with Kronrod's points: places in -1 to 1, of which the ends are known
+motions, and weights (Gander and Gautschi 2000)."""
+LOBATTO = np.array([1, 0, 5, 0, 5, 0, 1]) / 12
+"""Weights of the rule without Kronrod's points, of the same places."""
 
 
 class _Part(NamedTuple):
@@ -75,39 +88,47 @@ def _chosen(pieces: Sequence[Piece], variable: Variable, value: float, upper: bo
     return (max if upper else min)(over, key=height)[0]
 
 
+class _Cell(NamedTuple):
+    """A way between two motions that are known."""
+
+    between: Between
+    low: float
+    """Places of the motions."""
+    high: float
+    ends: tuple[OnCurve, OnCurve]
+
+
+class _Sum(NamedTuple):
+    """What is integrated at a motion, or over a cell: the area, and its derivatives."""
+
+    value: float
+    slopes: Float[np.ndarray, " numbers"]
+
+
 def _along(part: _Part, variable: Variable) -> Dual:
     """Integrate along a part."""
     piece, low, high = part.piece, part.low.value, part.high.value
     known, knots = piece.known, piece.knots
-    cells: list[tuple[Between, float, float]] = []
-    cuts: dict[float, OnCurve] = {}
     slack = AT_END * (piece.high - piece.low)
     inside = [w for w in (low, high) if piece.low + slack < w < piece.high - slack]
+    cuts: dict[float, OnCurve] = {}
     for value, motion in zip(inside, known.run([piece.motion_at(w) for w in inside]), strict=True):
         if motion is None:
             raise NoSuchPlace(f"No motion was found at {known.branch.axis} = {value:g}.")
         cuts[value] = motion
-    for k in range(len(knots) - 1):
-        ends = knots[k].motion.parameter, knots[k + 1].motion.parameter
+    cells = []
+    for a, b in pairwise(knots):
+        ends = a.motion.parameter, b.motion.parameter
         if max(ends) <= low + slack or min(ends) >= high - slack:
             continue
-        between = Between(known, knots[k], knots[k + 1])
-        places = [
-            between.place_of(cuts[bound]) if bound in cuts and is_out else place
-            for place, (bound, is_out) in zip(
-                between.places, (_cut(end, low, high) for end in ends), strict=True
-            )
-        ]
-        cells.append((between, *places))
-    x, weight = np.polynomial.legendre.leggauss(NODES)
-    share, weight = (x + 1) / 2, weight / 2
-    found = known.run([between.at_each(a + share * (b - a)) for between, a, b in cells])
-    motions = [motion for own in found for motion in own]
-    if any(motion is None for motion in motions):
-        raise NoSuchPlace("Not all motions under the curve were found.")
-    factors = [w * (b - a) for _, a, b in cells for w in weight]
-    whose = [between for between, _, _ in cells for _ in share]
-    value, slopes = _summed(known, motions, whose, np.array(factors), variable)
+        between = Between(known, a, b)
+        places, motions = list(between.places), [a.motion, b.motion]
+        for bound, motion in cuts.items():
+            for side, end in enumerate(ends):
+                if (end < bound == low) or (end > bound == high):
+                    places[side], motions[side] = between.place_of(motion), motion
+        cells.append(_Cell(between, *places, (motions[0], motions[1])))
+    total, slopes = _integrated(known, cells, variable)
     rises = piece.frequency[0] <= piece.frequency[-1]
     sign = 1.0 if rises else -1.0
     own_ends = [knots[0].motion, knots[-1].motion][:: 1 if rises else -1]
@@ -115,23 +136,66 @@ def _along(part: _Part, variable: Variable) -> Dual:
     rows = known.around(ends, means=variable.source in MEANS)
     below, above = (float(variable.rule(row.value[variable.column])) for row in rows)
     moved = above * part.high.slopes - below * part.low.slopes
-    return Dual(sign * value, np.append(sign * slopes, 0.0) + moved)
+    return Dual(sign * total, np.append(sign * slopes, 0.0) + moved)
 
 
-def _cut(end: float, low: float, high: float) -> tuple[float, bool]:
-    """The bound nearest to an end of a cell, and whether the end lies beyond it."""
-    return (low, end < low) if end < low or end - low < high - end else (high, end > high)
+def _integrated(known: KnownBranch, cells: list[_Cell], variable: Variable) -> _Sum:
+    """Integrate over cells, those in halves that are not known well enough."""
+    total, slopes = 0.0, np.zeros(known.numbers)
+    for depth in range(HALVINGS + 1):
+        found = _sums(known, cells, variable)
+        whole, left = abs(total) + sum(abs(better.value) for better, _ in found), []
+        for cell, (better, coarse) in zip(cells, found, strict=True):
+            if abs(better.value - coarse) <= FIRM * whole or depth == HALVINGS:
+                total, slopes = total + better.value, slopes + better.slopes
+            else:
+                left.append(cell)
+        if not left:
+            break
+        cells = [half for cell in left for half in _halves(known, cell)]
+    return _Sum(total, slopes)
 
 
-def _summed(
-    known: KnownBranch,
-    motions: list[Any],
-    whose: list[Between],
-    factors: Float[np.ndarray, " motions"],
-    variable: Variable,
-) -> tuple[float, Float[np.ndarray, " numbers"]]:
-    """Sum what motions add to the area, and to its derivatives."""
-    rows = known.around(motions, means=variable.source in MEANS)
+def _halves(known: KnownBranch, cell: _Cell) -> list[_Cell]:
+    between, middle = cell.between, (cell.low + cell.high) / 2
+    ((motion,),) = known.run([between.at_each([middle])])
+    if motion is None:
+        raise NoSuchPlace("Not all motions under the curve were found.")
+    first, last = cell.ends
+    return [
+        _Cell(between, cell.low, middle, (first, motion)),
+        _Cell(between, middle, cell.high, (motion, last)),
+    ]
+
+
+def _sums(
+    known: KnownBranch, cells: list[_Cell], variable: Variable
+) -> list[tuple[_Sum, float]]:
+    """Integrate over each cell by the better rule; also the value by the coarser one."""
+    x, weights = (KRONROD[0] + 1) / 2, KRONROD[1]
+    steps = [c.between.at_each(c.low + x[1:-1] * (c.high - c.low)) for c in cells]
+    every: list[list[Any]] = []
+    for cell, inner in zip(cells, known.run(steps), strict=True):
+        if any(motion is None for motion in inner):
+            raise NoSuchPlace("Not all motions under the curve were found.")
+        every.append([cell.ends[0], *inner, cell.ends[1]])
+    y, slopes = _integrand(known, cells, every, variable)
+    found = []
+    for cell, own, moves in zip(cells, y, slopes, strict=True):
+        way = cell.high - cell.low
+        better = _Sum(way * float(weights @ own), way * (weights @ moves))
+        found.append((better, way * float(LOBATTO @ own)))
+    return found
+
+
+def _integrand(
+    known: KnownBranch, cells: list[_Cell], every: list[list[OnCurve]], variable: Variable
+) -> tuple[Float[np.ndarray, "cells points"], Float[np.ndarray, "cells points numbers"]]:
+    """What is integrated over the place, and what over it gives the derivatives."""
+    if not cells:
+        return np.zeros((0, 0)), np.zeros((0, 0, known.numbers))
+    shape = len(cells), len(every[0])
+    rows = known.around([m for own in every for m in own], means=variable.source in MEANS)
     at = variable.column
     source = np.array([row.value[at] for row in rows])
     y, rate = jax.jvp(variable.rule, (source,), (np.ones_like(source),))
@@ -140,7 +204,8 @@ def _summed(
     y_along = rate * np.array([row.along[at] for row in rows])
     w_moves = np.array([row.by_number[:, PARAMETER] for row in rows])
     y_moves = rate[:, None] * np.array([row.by_number[:, at] for row in rows])
-    both = zip(whose, motions, strict=True)
-    lengths = factors / np.array([between.rate_of(motion) for between, motion in both])
+    stretch = [c.between.stretch_at(m) for c, own in zip(cells, every, strict=True) for m in own]
+    lengths = np.array(stretch)
     moved = y_moves * w_along[:, None] - y_along[:, None] * w_moves
-    return float(lengths @ (y * w_along)), lengths @ moved
+    area, slopes = lengths * y * w_along, lengths[:, None] * moved
+    return area.reshape(shape), slopes.reshape(*shape, -1)

@@ -174,9 +174,10 @@ class _Curve:
         turn = 2 * np.pi / tables.angular_frequency
         found = {name: jnp.full((), jnp.nan) for name in MEASURED}
         found["parameter"] = unknown[-1] * self.motion.scale
-        found["impulse"] = mean_force(tables, motion, self.period) * turn
+        count = self.motion.events.number + 1
+        found["impulse"] = mean_force(tables, motion, self.period, count) * turn
         if means:
-            square, harmonic = mean_square_and_harmonic(tables, motion, self.period)
+            square, harmonic = mean_square_and_harmonic(tables, motion, self.period, count)
             fraction = contact_fraction(tables, motion, self.period)
         else:
             read = read_motion(tables, self.motion.events, motion, self.period)

@@ -127,12 +127,15 @@ class Between:
         change = motion.state - first.state, motion.parameter - first.parameter
         return self.stretch.search.along(first, *change)
 
-    def rate_of(self, motion: OnCurve) -> float:
-        """How fast the place changes along the curve at a motion."""
-        if self.stretch.touch is not None:
-            return float(self.stretch.by_times @ motion.times_along)
+    def stretch_at(self, motion: OnCurve) -> float:
+        """How much of the curve there is per unit of the place at a motion; none at a touch."""
+        touch = self.stretch.touch
+        if touch is not None:
+            if len(motion.times) != len(self.stretch.by_times):
+                return 0.0
+            return 1.0 / float(self.stretch.by_times @ motion.times_along)
         along = motion.state_along, motion.parameter_along
-        return self.stretch.search.along(self.stretch.first, *along)
+        return 1.0 / self.stretch.search.along(self.stretch.first, *along)
 
     def at_each(self, places: Sequence[float]) -> Steps:
         """Search for the motions at some places, those first whose contacts last longest."""

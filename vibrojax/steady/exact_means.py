@@ -48,11 +48,12 @@ def _terms(
 
 
 def mean_square_and_harmonic(
-    tables: Tables, motion: PiecewiseMotion, period: int
+    tables: Tables, motion: PiecewiseMotion, period: int, count: Int[Array, ""] | None = None
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Mean square of the reported displacement and its amplitude at the drive frequency.
 
-    No block may be driven in resonance.
+    No block may be driven in resonance. `count` is the number of segments to go through; without it
+    all are, which reverse mode needs.
     """
     w = tables.angular_frequency
 
@@ -70,7 +71,8 @@ def mean_square_and_harmonic(
         return sums[0] + square.real * angle, sums[1] + harmonic * angle
 
     zero = jnp.zeros_like(w)
-    square, harmonic = jax.lax.fori_loop(0, motion.start.size, add, (zero, zero + 0j))
+    segments = motion.start.size if count is None else count
+    square, harmonic = jax.lax.fori_loop(0, segments, add, (zero, zero + 0j))
     whole = 2 * np.pi * period
     # Where the motion vanishes the modulus has no derivative.
     size = harmonic.real**2 + harmonic.imag**2
@@ -78,8 +80,10 @@ def mean_square_and_harmonic(
     return square / whole, 2 * modulus / whole
 
 
-def mean_force(tables: Tables, motion: PiecewiseMotion, period: int) -> Float[Array, ""]:
-    """Mean of the contact force over the motion, N, all stops together.
+def mean_force(
+    tables: Tables, motion: PiecewiseMotion, period: int, count: Int[Array, ""]
+) -> Float[Array, ""]:
+    """Mean of the contact force over the motion, N, all stops together, of so many segments.
 
     No block may be driven in resonance.
     """
@@ -99,7 +103,7 @@ def mean_force(tables: Tables, motion: PiecewiseMotion, period: int) -> Float[Ar
             total = total + jnp.where(held, force * angle, 0.0)
         return total
 
-    total = jax.lax.fori_loop(0, motion.start.size, add, jnp.zeros_like(w))
+    total = jax.lax.fori_loop(0, count, add, jnp.zeros_like(w))
     return total / (2 * np.pi * period)
 
 
