@@ -62,7 +62,7 @@ def area_of(
     edges.sort(key=lambda edge: edge.value)
     parts = [
         _Part(_chosen(pieces, variable, (a.value + b.value) / 2, upper), a, b)
-        for a, b in zip(edges, edges[1:], strict=False)
+        for a, b in pairwise(edges)
         if b.value > a.value
     ]
     total = still(0.0, known)
@@ -127,7 +127,7 @@ def _along(part: _Part, variable: Variable) -> Dual:
             for side, end in enumerate(ends):
                 if (end < bound == low) or (end > bound == high):
                     places[side], motions[side] = between.place_of(motion), motion
-        cells.append(_Cell(between, *places, (motions[0], motions[1])))
+        cells.append(_Cell(between, places[0], places[1], (motions[0], motions[1])))
     total, slopes = _integrated(known, cells, variable)
     rises = piece.frequency[0] <= piece.frequency[-1]
     sign = 1.0 if rises else -1.0
@@ -168,9 +168,7 @@ def _halves(known: KnownBranch, cell: _Cell) -> list[_Cell]:
     ]
 
 
-def _sums(
-    known: KnownBranch, cells: list[_Cell], variable: Variable
-) -> list[tuple[_Sum, float]]:
+def _sums(known: KnownBranch, cells: list[_Cell], variable: Variable) -> list[tuple[_Sum, float]]:
     """Integrate over each cell by the better rule; also the value by the coarser one."""
     x, weights = (KRONROD[0] + 1) / 2, KRONROD[1]
     steps = [c.between.at_each(c.low + x[1:-1] * (c.high - c.low)) for c in cells]

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.compiled import compiled
+from vibrojax._tools.types import AnyArray
 from vibrojax.ensemble.slopes import WithSlopes, with_slopes
 from vibrojax.steady.contact_times import Events, Orbit, Tables, follow_events, tables_of
 from vibrojax.steady.exact_means import contact_fraction, mean_force, mean_square_and_harmonic
@@ -46,44 +47,44 @@ class KnownMotion(NamedTuple):
     """A motion of a branch, as it was solved for; one lane."""
 
     events: Events
-    times: Float[Array, " events"]
-    state: Float[Array, " states"]
+    times: Float[AnyArray, " events"]
+    state: Float[AnyArray, " states"]
     """At the section, in units of energy."""
-    parameter: Float[Array, ""]
-    state_along: Float[Array, " states"]
-    parameter_along: Float[Array, ""]
-    matrix: Float[Array, "states states"]
+    parameter: Float[AnyArray, ""]
+    state_along: Float[AnyArray, " states"]
+    parameter_along: Float[AnyArray, ""]
+    matrix: Float[AnyArray, "states states"]
     """Jacobian of the period map at the section."""
-    scale: Float[Array, ""]
+    scale: Float[AnyArray, ""]
     """Change of the parameter that counts as much as the state changing by its size."""
-    stop: Int[Array, ""]
+    stop: Int[AnyArray, ""]
     """Which stop's clearance is measured, and near which drive phase (rad)."""
-    angle: Float[Array, ""]
+    angle: Float[AnyArray, ""]
 
 
 class Around(NamedTuple):
     """What is measured of a motion, and how it changes; columns are those of `MEASURED`."""
 
-    value: Float[Array, "*points measured"]
-    along: Float[Array, "*points measured"]
+    value: Float[AnyArray, "*points measured"]
+    along: Float[AnyArray, "*points measured"]
     """Derivative along the curve, per unit of its arclength."""
-    by_number: Float[Array, "*points numbers measured"]
+    by_number: Float[AnyArray, "*points numbers measured"]
     """Derivatives in the numbers, at a place that stays across the tangent."""
 
 
 class Bends(NamedTuple):
     """How the derivative along the curve changes."""
 
-    along: Float[Array, "*points measured"]
+    along: Float[AnyArray, "*points measured"]
     """Along the curve."""
-    by_number: Float[Array, "*points numbers measured"]
+    by_number: Float[AnyArray, "*points numbers measured"]
 
 
 class MultiplierSlopes(NamedTuple):
     """How the logarithm of a multiplier's modulus changes."""
 
-    along: Float[Array, "*points"]
-    by_number: Float[Array, "*points numbers"]
+    along: Float[AnyArray, "*points"]
+    by_number: Float[AnyArray, "*points numbers"]
 
 
 @compiled
@@ -138,7 +139,9 @@ class _Curve:
 
         def end(parameter: Array) -> Array:
             unknown = self.start.at[-1].set(parameter)
-            return self.follow(self.path, unknown, self.motion.times)[1].end * self.unit
+            return (
+                self.follow(self.path, unknown, jnp.asarray(self.motion.times))[1].end * self.unit
+            )
 
         push = jax.jvp(end, (self.start[-1],), (jnp.ones(()),))[1]
         still = self.motion.matrix - jnp.eye(len(push))
@@ -160,7 +163,7 @@ class _Curve:
             change = jnp.linalg.solve(matrix, jnp.append(missing, gone))
             return (unknown - change, found[1].times), (unknown, *found)
 
-        start = self.start, self.motion.times
+        start = self.start, jnp.asarray(self.motion.times)
         _, rounds = lax.scan(newton, start, None, length=2 * order)
         unknown, tables, motion = jax.tree.map(lambda a: a[-1] if eqx.is_array(a) else a, rounds)
         return _There(path, unknown, tables, motion)
@@ -253,9 +256,7 @@ def _each(function: Any, paths: Any, slopes: Any, motions: KnownMotion, period: 
 
 
 @compiled
-def look_around(
-    paths: Any, slopes: Any, motions: KnownMotion, period: int, means: bool
-) -> Around:
+def look_around(paths: Any, slopes: Any, motions: KnownMotion, period: int, means: bool) -> Around:
     """Measure some motions, and how that changes along the curve and with the numbers.
 
     All have the points as the leading axis; `slopes` are of `paths_with_slopes`. With `means` only

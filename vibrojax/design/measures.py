@@ -1,26 +1,31 @@
 """Measures of a branch with their derivatives: peaks, levels, bands, areas.
 
-What a measure is made of are places of the branch that a condition says, each with exact derivatives
-of where it is and of what is measured there: ends of stable parts, peaks, where a level is crossed,
-and the points of a quadrature in between. All are found anew for every rig, so that folds may move,
-appear and vanish: a measure is always that of the branch as it is, and so is its derivative.
+What a measure is made of are places of the branch that a condition says, each with exact
+derivatives of where it is and of what is measured there: ends of stable parts, peaks, where a level
+is crossed. All are found anew for every rig, so that folds may move, appear and vanish: a measure
+is always that of the branch as it is, and so is its derivative.
 """
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
+from vibrojax.branches.on_curve import OnCurve
 from vibrojax.design.around import MEASURED
 from vibrojax.design.known_branch import PARAMETER, KnownBranch, Node
-from vibrojax.design.pieces import Knot, Piece, node_of
+from vibrojax.design.pieces import Between, Knot, Piece, node_of
 from vibrojax.results.derived import DERIVED, NEEDS
 
 READ = tuple(name for name in MEASURED if name not in ("parameter", "clearance"))
-FLAT = 1e-9
+FLAT = 1e-8
 """How near to zero a rate along the branch is to come at a peak, over its size next to it."""
+SOLVED = 1e-6
+"""How near to a level a variable is to come, over its distance next to it; the rest goes to first
+order."""
 LOW_PEAK = 0.9
 """Least share of the highest knot at which another may be next to the highest peak."""
 
@@ -127,23 +132,28 @@ def peak_of(pieces: Sequence[Piece], variable: Variable) -> Peak:
 
 def _peak_near(piece: Piece, variable: Variable, k: int) -> Peak:
     """Find the peak next to the knot that is higher than its neighbours."""
-    known, column = piece.known, variable.column
-
-    def rate(motion: Any) -> float:
-        (here,) = known.around([motion])
-        return float(here.along[column])
-
-    here = rate(piece.knots[k].motion)
-    for first in [k] if here > 0 else [k - 1]:
-        if not 0 <= first < len(piece.knots) - 1:
-            continue
-        ends = rate(piece.knots[first].motion), rate(piece.knots[first + 1].motion)
-        if ends[0] * ends[1] < 0:
-            (motion,) = known.run([piece.root(first, rate, FLAT)])
-            if motion is not None:
-                return Peak(variable.of(_flat(known, motion)), piece, None, motion)
+    known = piece.known
+    motion = _flat_near(piece, variable, k, FLAT)
+    if motion is not None:
+        return Peak(variable.of(_flat(known, motion)), piece, None, motion)
     knot = piece.knots[k]
     return Peak(variable.of(node_of(known, knot)), piece, knot, knot.motion)
+
+
+def _flat_near(piece: Piece, variable: Variable, k: int, flat: float) -> OnCurve | None:
+    """Find where the curve is flat next to a knot; None where it has a corner or ends there."""
+    known, column = piece.known, variable.column
+    near = piece.knots[max(k - 1, 0) : k + 2]
+    rates = [here.along[column] for here in known.around([knot.motion for knot in near])]
+
+    def rate(motion: OnCurve) -> tuple[float, float]:
+        (here,) = known.around([motion])
+        return float(here.along[column]), 0.0
+
+    for first, (a, b) in enumerate(pairwise(near)):
+        if rates[first] * rates[first + 1] < 0:
+            return Between(known, a, b).root(known, rate, flat)
+    return None
 
 
 def _flat(known: KnownBranch, motion: Any) -> Node:
@@ -231,22 +241,26 @@ def above(piece: Piece, variable: Variable, level: float) -> list[Span]:
     """Return where a part is above a level; derivatives in the level are the last ones."""
     known, column, span = piece.known, variable.column, span_of(piece)
 
-    def beyond(motion: Any) -> float:
+    def beyond(motion: OnCurve) -> tuple[float, float]:
         (here,) = known.around([motion])
-        return float(variable.rule(here.value[column])) - level
+        value, rate = jax.jvp(variable.rule, (here.value[column],), (here.along[column],))
+        return float(value) - level, float(rate)
 
     y = variable.at_knots(piece) - level
-    roots = [piece.root(int(k), beyond) for k in np.flatnonzero(y[:-1] * y[1:] < 0)]
+    roots = []
+    for k in np.flatnonzero(y[:-1] * y[1:] < 0):
+        between = Between(known, *piece.knots[k : k + 2])
+        roots.append(between.root(known, beyond, SOLVED))
     # A peak or a valley between knots may reach beyond the level where they do not.
     for k in _extremes_near(y, level):
-        peak = _extreme_near(piece, variable, k)
-        if peak is not None and (float(variable.rule(peak.value[column])) - level) * y[k] < 0:
+        flat = _flat_near(piece, variable, k, SOLVED)
+        if flat is not None and beyond(flat)[0] * y[k] < 0:
             raise NoSuchPlace(
                 f"The level {level:g} of {variable.name} is passed twice within a step of the "
                 "branch: give a shorter longest_step in the settings of the continuation."
             )
     crossings = []
-    for motion in known.run(roots):
+    for motion in roots:
         if motion is None:
             raise NoSuchPlace(f"Where {variable.name} passes {level:g} was not found.")
         (here,) = known.around([motion])
@@ -269,23 +283,10 @@ def _extremes_near(y: np.ndarray, level: float) -> list[int]:
     """Inner knots that are extremes on this side of a level, and near it."""
     inner = np.arange(1, len(y) - 1)
     towards = -np.sign(y[inner])
-    nearest = (towards * (y[inner] - y[inner - 1]) >= 0) & (towards * (y[inner] - y[inner + 1]) >= 0)
+    nearest = (towards * (y[inner] - y[inner - 1]) >= 0) & (
+        towards * (y[inner] - y[inner + 1]) >= 0
+    )
     return inner[nearest & (np.abs(y[inner]) < 0.05 * abs(level))].tolist()
-
-
-def _extreme_near(piece: Piece, variable: Variable, k: int) -> Node | None:
-    known = piece.known
-
-    def rate(motion: Any) -> float:
-        (here,) = known.around([motion])
-        return float(here.along[variable.column])
-
-    for first in (k - 1, k):
-        ends = rate(piece.knots[first].motion), rate(piece.knots[first + 1].motion)
-        if ends[0] * ends[1] < 0:
-            (motion,) = known.run([piece.root(first, rate)])
-            return None if motion is None else _flat(known, motion)
-    return None
 
 
 def covered(spans: Sequence[Span], least: int = 1) -> list[Span]:

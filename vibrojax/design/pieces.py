@@ -4,7 +4,7 @@ A part runs from one place where the branch turns round, loses its stability or 
 Its frequency only rises or only falls, so that it has one motion at most at a frequency.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -15,13 +15,14 @@ from jaxtyping import Bool, Float
 
 from vibrojax.branches.on_curve import OnCurve, Steps, Touch
 from vibrojax.branches.points import TURNS
-from vibrojax.branches.refining import Number, Stretch
+from vibrojax.branches.refining import Stretch
 from vibrojax.design.known_branch import KnownBranch, Node
 
+Number = Callable[[OnCurve], tuple[float, float]]
+"""A number of a motion, and its derivative along the curve, 0 where it is not known."""
+ROUNDS = 60
 AT_END = 1e-12
 """Relative distance from an end of the range that is as good as none."""
-SOLVED = 1e-6
-"""How near to zero a number is to come, over its size at the ends; the rest goes to first order."""
 
 
 class Knot(NamedTuple):
@@ -43,6 +44,8 @@ class Piece:
     knots: list[Knot]
     values: dict[str, np.ndarray] = field(default_factory=dict)
     """What was read at the knots already, by name."""
+    nodes: tuple[Node, Node] | None = None
+    """What was measured at the ends."""
 
     @cached_property
     def frequency(self) -> Float[np.ndarray, " knots"]:
@@ -59,9 +62,15 @@ class Piece:
         """Largest frequency."""
         return float(self.frequency.max())
 
-    @cached_property
+    @property
     def ends(self) -> tuple[Node, Node]:
         """What is measured at both ends, the one at the lower frequency first."""
+        # No cached_property: before Python 3.12 it holds a lock, while others are asked.
+        if self.nodes is None:
+            self.nodes = self._ends()
+        return self.nodes
+
+    def _ends(self) -> tuple[Node, Node]:
         first, last = node_of(self.known, self.knots[0]), node_of(self.known, self.knots[-1])
         return (first, last) if self.frequency[0] <= self.frequency[-1] else (last, first)
 
@@ -96,11 +105,7 @@ class Piece:
             )
             if found is not None and between.holds(found):
                 return found
-        return (yield from between.root(lambda m: m.parameter - value, 1e-9))
-
-    def root(self, index: int, number: Number, solved: float = SOLVED) -> Steps:
-        """Search for where a number of motions passes zero behind a knot."""
-        return Between(self.known, self.knots[index], self.knots[index + 1]).root(number, solved)
+        return (yield from between.motion_at(value))
 
 
 class Between:
@@ -137,7 +142,7 @@ class Between:
         along = motion.state_along, motion.parameter_along
         return 1.0 / self.stretch.search.along(self.stretch.first, *along)
 
-    def at_each(self, places: Sequence[float]) -> Steps:
+    def at_each(self, places: Sequence[float] | np.ndarray) -> Steps:
         """Search for the motions at some places, those first whose contacts last longest."""
         order = np.argsort(places)[::-1] if self.stretch.touch is not None else range(len(places))
         found: list[OnCurve | None] = [None] * len(places)
@@ -150,14 +155,48 @@ class Between:
         same = motion.contacts.stops == self.a.contacts.stops
         return same and self.stretch.search.is_sound(motion)
 
-    def root(self, number: Number, solved: float) -> Steps:
-        """Search for where a number of motions passes zero; the end where it does already."""
-        below, above = number(self.a), number(self.b)
-        if below * above > 0:
+    def motion_at(self, value: float) -> Steps:
+        """Search for the motion at a value of the parameter; an end where that is one."""
+        below, above = self.a.parameter - value, self.b.parameter - value
+        if below * above >= 0:
             return self.a if abs(below) < abs(above) else self.b
         ends = (self.places[0], below), (self.places[1], above)
-        found = yield from self.stretch.root(number, solved, *ends)
+        found = yield from self.stretch.root(lambda m: m.parameter - value, 1e-9, *ends)
         return found.motion if found.motion is not None and found.solved else None
+
+    def root(self, known: KnownBranch, number: Number, solved: float) -> OnCurve | None:
+        """Find where a number passes zero that is measured; None where it is not found.
+
+        By the number and its derivative along the curve, as long as these lead on, else by a line
+        between places on both sides; to `solved` of what it is at the ends.
+        """
+        (low, high), (a, b) = self.places, (self.a, self.b)
+        (below, _), (above, _) = number(a), number(b)
+        scale, whole, side = max(abs(below), abs(above)), abs(high - low), 0
+        place = low + below / (below - above) * (high - low)
+        for _ in range(ROUNDS):
+            share = (place - low) / (high - low)
+            place = low + min(max(share, 0.02), 0.98) * (high - low)
+            ((place, motion),) = known.run([self.stretch.nearer(place)])
+            if motion is None or self.stretch.is_at_touch(place, whole):
+                return None
+            value, rate = number(motion)
+            if abs(value) <= solved * scale:
+                return motion
+            if abs(high - low) <= 1e-12 * whole:
+                return None
+            # The end that stays twice counts half: else it would stay for long.
+            if (value > 0) == (below > 0):
+                low, below, above = place, value, above / 2 if side == 1 else above
+                side = 1
+            else:
+                high, above, below = place, value, below / 2 if side == -1 else below
+                side = -1
+            along = rate * self.stretch_at(motion)
+            place = place - value / along if along else np.inf
+            if not min(low, high) < place < max(low, high):
+                place = low + below / (below - above) * (high - low)
+        return None
 
 
 def touch_in(touches: Sequence[Touch], cell: int) -> Touch | None:

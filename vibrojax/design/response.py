@@ -10,11 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax._tools.checks import check_range
+from vibrojax._tools.described import in_short
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.points import TURNS
 from vibrojax.design import measures
 from vibrojax.design.areas import area_of
+from vibrojax.design.group import Ask
 from vibrojax.design.known_branch import KnownBranch, Node
 from vibrojax.design.measures import Dual, NoSuchPlace, Variable, variable_of
 from vibrojax.design.pieces import Knot, Piece, knots_of, node_of, pieces_of
@@ -61,10 +63,19 @@ class Response:
         natural: tuple[float, np.ndarray],
         moved: Any = None,
     ):
-        self.branch, self._known, self._values, self._natural = branch, known, dict(numbers), natural
+        self.branch, self._known, self._values, self._natural = (
+            branch,
+            known,
+            dict(numbers),
+            natural,
+        )
         self._moved = np.zeros(len(numbers)) if moved is None else moved
         self._plain = moved is None
         self._done: dict[Any, Dual] = {}
+
+    def ask_of(self, ask: Ask) -> None:
+        """Let somebody else compute what is asked from now on, together with other things."""
+        self._known.ask = ask
 
     def _with(self, moved: Any) -> "Response":
         """The same response, its numbers moved by what JAX is tracing."""
@@ -91,11 +102,12 @@ class Response:
         name = getattr(function, "__name__", repr(function))
 
         def of(moved: Any) -> Any:
-            value = function(self._with(moved))
-            if np.shape(value) != () or isinstance(value, str | bytes) or value is None:
-                shape = f"an array of shape {np.shape(value)}" if np.shape(value) else repr(value)
+            value: Any = function(self._with(moved))
+            is_one = not isinstance(value, str | bytes | None) and np.shape(value) == ()
+            if not is_one:
                 raise ValueError(
-                    f"The function {name} of a response must return one number, got {shape}."
+                    f"The function {name} of a response must return one number, got "
+                    f"{in_short(value)}."
                 )
             return jnp.asarray(value, float)
 

@@ -1,6 +1,7 @@
 """Functions of rigs' responses, evaluated for many rigs side by side."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -8,12 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax._tools.checks import check_names, check_needed_arguments
+from vibrojax._tools.gathered import gathered
 from vibrojax.branches.along import check_continued
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.settings import ContinuationSettings
 from vibrojax.branches.work import follow_branches
 from vibrojax.design.around import paths_with_slopes
 from vibrojax.design.evaluation import AbstractEvaluator, Evaluation
+from vibrojax.design.group import Ask, RigGroup
 from vibrojax.design.known_branch import KnownBranch
 from vibrojax.design.measures import NoSuchPlace
 from vibrojax.design.response import Response
@@ -68,16 +71,14 @@ class RigEvaluator(AbstractEvaluator):
         check_continued(system)
         return system
 
-    def responses(
-        self, places: Float[np.ndarray, "rigs numbers"]
-    ) -> list[Response]:
+    def responses(self, places: Float[np.ndarray, "rigs numbers"]) -> list[Response]:
         """Follow the branches of some rigs, side by side."""
         found: list[Response] = []
-        for first in np.arange(0, len(places), WIDTHS[-1]):
-            found += self._responses(places[first : first + WIDTHS[-1]])
+        for first in range(0, len(places), WIDTHS[-1]):
+            found += self._followed(places[first : first + WIDTHS[-1]])[1]
         return found
 
-    def _responses(self, places: np.ndarray) -> list[Response]:
+    def _followed(self, places: np.ndarray) -> tuple[RigGroup, list[Response]]:
         count = len(places)
         width = next(w for w in WIDTHS if w >= count)
         rows = np.asarray(places, float)[filled_up(count, width)]
@@ -95,32 +96,42 @@ class RigEvaluator(AbstractEvaluator):
             labels=[{}] * count,
             description="",
         )
-        own = jax.tree.map(lambda a: np.asarray(a)[:count], paths)
+        own, changes = (
+            jax.tree.map(lambda a: np.asarray(a)[:count], tree) for tree in (paths, slopes)
+        )
         branches = follow_branches(plan, own)
         self.followed += count
+        group = RigGroup(own, changes, plan.period)
+        frequency = own.equations.angular_frequency[:, 0] / 2 / np.pi
+        rates = changes.equations.angular_frequency[:, :, 0] / 2 / np.pi
         found = []
         for k, points in enumerate(branches):
-            path, slope = (jax.tree.map(lambda a, k=k: np.asarray(a)[k], t) for t in (paths, slopes))
-            known = KnownBranch(points, path, slope, len(self.names))
-            rate = slope.equations.angular_frequency[:, 0] / 2 / np.pi
-            natural = float(path.equations.angular_frequency[0]) / 2 / np.pi
+            known = KnownBranch(points, group, k, len(self.names))
             values = dict(zip(self.names, map(float, places[k]), strict=True))
-            found.append(Response(Branch.of(points), known, values, (natural, np.asarray(rate))))
-        return found
+            natural = float(frequency[k]), np.asarray(rates[k])
+            found.append(Response(Branch.of(points), known, values, natural))
+        return group, found
 
     def evaluate(
         self, places: Float[np.ndarray, "rigs numbers"], *, slopes: bool = True
     ) -> list[Evaluation]:
         """Evaluate all functions for some rigs, their branches followed side by side."""
-        places = np.asarray(places, float)
-        return [self._evaluated(response) for response in self.responses(places)]
+        places, found = np.asarray(places, float), []
+        for first in range(0, len(places), WIDTHS[-1]):
+            group, responses = self._followed(places[first : first + WIDTHS[-1]])
+            each = [partial(self._evaluated, response) for response in responses]
+            found += [future.result() for future in gathered(each, group.answer)]
+        return found
 
-    def _evaluated(self, response: Response) -> Evaluation:
+    def _evaluated(self, response: Response, ask: Ask) -> Evaluation:
+        response.ask_of(ask)
         values = np.full(len(self._functions), np.nan)
         slopes = np.full((len(self._functions), len(self.names)), np.nan)
         branch, notes = response.branch, []
         if not branch.completed:
-            return Evaluation(values, slopes, f"The branch was not followed to its end: {branch.sentence}")
+            return Evaluation(
+                values, slopes, f"The branch was not followed to its end: {branch.sentence}"
+            )
         for k, (name, function) in enumerate(zip(self.functions, self._functions, strict=True)):
             try:
                 values[k], slopes[k] = response.differentiate(function)
