@@ -338,7 +338,9 @@ def _sentence(
             for k in goal.bounded
             if abs(excess[k]) > goal.tolerance
         )
-        missed = f"None of the {count} designs tried meets all constraints. Nearest to them, {told}."
+        missed = (
+            f"None of the {count} designs tried meets all constraints. Nearest to them, {told}."
+        )
     if status == "infeasible":
         return f"{missed} Widen the bounds of the variables, or the constraints."
     if status == "interrupted":
@@ -348,9 +350,7 @@ def _sentence(
         costs = [goal.rank(e.trial.values) for e in ends if e.trial is not None]
         least = goal.rank(best.values)
         same = sum(c[0] == 0.0 and c[1] - least[1] <= SAME for c in costs)
-        return (
-            f"No small step makes it better; {same} of {len(ends)} searches end at this value."
-        )
+        return f"No small step makes it better; {same} of {len(ends)} searches end at this value."
     if status == "limit":
         return (
             f"A search may try {settings.max_rounds} designs, and they are used up: a higher "

@@ -218,9 +218,7 @@ class Optimum(AbstractSaved):
         ]
         for name, number in self.numbers.items():
             low, high = self.bounds[name]
-            lines.append(
-                f"  {named_value(name, float(f'{number:.6g}'))}, from {low:g} to {high:g}"
-            )
+            lines.append(f"  {named_value(name, float(f'{number:.6g}'))}, from {low:g} to {high:g}")
         for name, value in self.constraints.items():
             lines.append(f"  {words_for(name)}: {value:.6g}, {allowed(*self.limits[name])}")
         lines += [f"  held by: {', '.join(self.active)}"] if self.active else []

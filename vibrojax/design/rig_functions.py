@@ -17,8 +17,13 @@ def range_of(frequency_ratio: Range | None, frequency: Range | None) -> tuple[st
     """
     if (frequency_ratio is None) == (frequency is None):
         raise ValueError("Give frequency_ratio or frequency, one of the two: vj.Range(low, high).")
-    name, value = ("frequency", frequency) if frequency_ratio is None else (
-        "frequency_ratio", frequency_ratio,
+    name, value = (
+        ("frequency", frequency)
+        if frequency_ratio is None
+        else (
+            "frequency_ratio",
+            frequency_ratio,
+        )
     )
     found = check_range_of(name, value)
     check_positive(name, found.low, "Hz" if name == "frequency" else "(ratio)")

@@ -19,7 +19,7 @@ class OptimiseSettings(AbstractSettings):
     best of them."""
     max_rounds: int = eqx.field(static=True, default=60)
     """Most designs that each search may try."""
-    tolerance: float = eqx.field(static=True, default=1e-6)
+    tolerance: float = eqx.field(static=True, default=1e-7)
     """Change of the objective at which a search ends, and by how much constraints may be missed,
     over the spread of the function among the designs screened."""
     method: str = eqx.field(static=True, default="SLSQP")

@@ -22,7 +22,9 @@ from vibrojax.design.constraints import Goal
 from vibrojax.design.trials import Trial, Trials
 
 FAILED = 1e3
-"""Cost of a design without a value above the best one known, in spreads: a step is shortened."""
+"""What is answered for a design without a value, above the best one known: so that it is left."""
+STRIDE = 0.1
+"""Length of the first step of a search, over the range of a variable."""
 AGAIN = 3
 """How often a search that is stuck begins afresh from where it has come to."""
 INSIDE = 1e-3
@@ -67,6 +69,7 @@ class _Search:
         self.known: Trial | None = None
         """The best so far of which all that counts has a value."""
         self.seeks_feasible = False
+        self.failed = FAILED
 
     def run(self) -> End:
         """Search until nothing can be made better; return how it ended."""
@@ -81,7 +84,7 @@ class _Search:
         self._at(self.start)
         if not self._is_feasible:
             self._meet_constraints()
-        place = self._best.place
+        place, reason = self._best.place, "it goes to and fro"
         for _ in range(AGAIN):
             before = self._rank()
             found = self._minimise(
@@ -91,13 +94,14 @@ class _Search:
                 self._meet_constraints()
                 place = self._best.place
                 continue
+            reason = _reason(found)
             if found.success:
-                return _reason(found)
+                return reason
             after = self._rank()
             if not after[0] < before[0] and before[1] - after[1] < self.goal.tolerance:
                 break  # stuck, and not for a Hessian that has gone bad
             place = self._best.place
-        raise _Over("stalled", f"No further step makes it better ({_reason(found)}).")
+        raise _Over("stalled", f"No further step makes it better ({reason}).")
 
     def _meet_constraints(self) -> None:
         """Minimise how far bounds are missed. Ends the search where they cannot be met."""
@@ -115,19 +119,23 @@ class _Search:
     def _minimise(
         self, place: Any, cost: Any, slope: Any, constraints: list[Any], tolerance: float
     ) -> Any:
-        bounds = scipy.optimize.Bounds(
-            np.zeros(len(place)), np.ones(len(place)), keep_feasible=True
-        )
+        ends: Any = np.zeros(len(place)), np.ones(len(place))
+        bounds = scipy.optimize.Bounds(*ends, keep_feasible=True)
         options: dict[str, float] = {"maxiter": 10 * self.most}
+        factor = 1.0
         if self.method == "SLSQP":
-            options["ftol"] = tolerance
+            # A first step along the slope is as long as that, not to and fro between the bounds.
+            size = float(np.linalg.norm(slope(place)))
+            factor = STRIDE / max(size, STRIDE)
+            options["ftol"] = factor * tolerance
         else:
             place = np.clip(place, INSIDE, 1.0 - INSIDE)
             options |= {"gtol": 1e-3 * tolerance, "xtol": tolerance, "barrier_tol": tolerance}
+        self.failed = FAILED / factor
         return scipy.optimize.minimize(
-            cost,
+            lambda place: factor * cost(place),
             place,
-            jac=slope,
+            jac=lambda place: factor * slope(place),
             bounds=bounds,
             constraints=constraints,
             method=self.method,
@@ -137,9 +145,10 @@ class _Search:
     def _constraints(self) -> list[Any]:
         goal, found = self.goal, []
         for k in goal.bounded:
-            bounds = goal.least[k] / goal.spread[k], goal.most[k] / goal.spread[k]
+            bounds: Any = goal.least[k] / goal.spread[k], goal.most[k] / goal.spread[k]
             value, slope = partial(self._value, k), partial(self._slope, k)
-            found.append(scipy.optimize.NonlinearConstraint(value, *bounds, jac=slope))
+            how: dict[str, Any] = {"jac": slope}
+            found.append(scipy.optimize.NonlinearConstraint(value, *bounds, **how))
         return found
 
     @property
@@ -175,7 +184,7 @@ class _Search:
         trial = self._at(place)
         if self.goal.knows(trial.values):
             return self.goal.cost(trial.values)
-        return self.goal.cost(self._best.values) + FAILED
+        return self.goal.cost(self._best.values) + self.failed
 
     def _value(self, k: int, place: Float[np.ndarray, " numbers"]) -> float:
         trial = self._at(place)
@@ -197,7 +206,7 @@ class _Search:
         trial = self._at(place)
         if self.goal.knows(trial.values):
             return float(np.sum(self.goal.excess(trial.values) ** 2))
-        return FAILED**2
+        return float(np.sum(self.goal.excess(self._best.values) ** 2)) + self.failed
 
     def _missed_slope(self, place: Float[np.ndarray, " numbers"]) -> np.ndarray:
         missed = self.goal.excess(self._at(place).values)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.stats import qmc
 
 from vibrojax._tools.interrupts import stoppable
@@ -16,7 +16,7 @@ SCREENED, NEIGHBOURS = 0, -1
 """In place of the number of a search: designs before all searches, and next to the best one."""
 TOGETHER = 32
 """Designs screened side by side; what is interrupted leaves those before."""
-APART = 0.25
+APART = 0.15
 """Least distance of starts, over the diagonal of all coordinates, as long as there are enough."""
 
 
@@ -56,9 +56,7 @@ class Trials:
         made = []
         for own, place, along, search in zip(found, places, stretch, searches, strict=True):
             count = 1 + sum(trial.search == search for trial in (*self.all, *made))
-            made.append(
-                Trial(search, count, place, own.values, own.slopes * along, own.note)
-            )
+            made.append(Trial(search, count, place, own.values, own.slopes * along, own.note))
         self.all += made
         return made
 
@@ -72,7 +70,8 @@ def screen(trials: Trials, count: int, seed: int) -> None:
     """Try the design to begin with, and others spread evenly between the bounds."""
     size = len(trials.variables.names)
     # Of a power of two they are spread evenly.
-    drawn = qmc.Sobol(size, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 1)))))
+    sobol = qmc.Sobol(size, seed=seed)  # pyright: ignore[reportCallIssue] (rng from scipy 1.15 on)
+    drawn = sobol.random_base2(int(np.ceil(np.log2(count))))
     first = trials.variables.places(trials.variables.start)
     places = np.vstack([first, drawn])[:count]
     for k in range(0, count, TOGETHER):
@@ -80,9 +79,7 @@ def screen(trials: Trials, count: int, seed: int) -> None:
         trials.evaluate(some, [SCREENED] * len(some), slopes=False)
 
 
-def starts_for(
-    trials: Trials, goal: Goal, count: int
-) -> Float[np.ndarray, "starts numbers"]:
+def starts_for(trials: Trials, goal: Goal, count: int) -> Float[np.ndarray, "starts numbers"]:
     """Return the places of the best designs that are apart from each other.
 
     A design that the user begins with is the first of them.
@@ -102,8 +99,3 @@ def starts_for(
                 chosen.append(k)
         distance /= 2
     return places[chosen]
-
-
-def numbers_of_searches(trials: Sequence[Trial]) -> Int[np.ndarray, " trials"]:
-    """Return which search tried each design."""
-    return np.array([trial.search for trial in trials], int)

@@ -77,7 +77,9 @@ def variables_of(
         raise ValueError(f'variables is empty: name what varies, {{"gap": (1e-4, 1e-3)}}. {ADVICE}')
     for name in logarithmic or ():
         if name not in variables:
-            raise ValueError(f"Unknown variable {name!r} in logarithmic. {nearest(name, variables)}")
+            raise ValueError(
+                f"Unknown variable {name!r} in logarithmic. {nearest(name, variables)}"
+            )
     low, high, start, logs = [], [], [], []
     for name, given in variables.items():
         own = _range_of(name, given)
@@ -95,8 +97,14 @@ def variables_of(
         start.append(middle if own.start is None else own.start)
         logs.append(log)
     given = any(isinstance(v, Range) and v.start is not None for v in variables.values())
-    ends = (np.array(v, float) for v in (low, high))
-    return Variables(tuple(variables), *ends, np.array(logs, bool), np.array(start, float), given)
+    return Variables(
+        names=tuple(variables),
+        low=np.array(low, float),
+        high=np.array(high, float),
+        logarithmic=np.array(logs, bool),
+        start=np.array(start, float),
+        given=given,
+    )
 
 
 def _range_of(name: str, given: Any) -> Range:

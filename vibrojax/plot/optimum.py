@@ -79,7 +79,9 @@ def plot_front(front: xarray.Dataset) -> Figure:
     for place, scale in ((values[:, 0], axes.set_xlim), (values[:, 1], axes.set_ylim)):
         width = np.ptp(place) or abs(place[0]) or 1.0
         scale(place.min() - 0.15 * width, place.max() + 0.6 * width)
-    ways = ["largest" if name in front.attrs["maximise"].split(", ") else "least" for name in (x, y)]
+    ways = [
+        "largest" if name in front.attrs["maximise"].split(", ") else "least" for name in (x, y)
+    ]
     labels = [f"{_words(name)} ({way} sought)" for name, way in zip((x, y), ways, strict=True)]
     name_axes(axes, *labels)
     for k, name in enumerate(names):
@@ -109,8 +111,13 @@ def _scale(axes: Axes, data: xarray.Dataset, name: str, which: str) -> None:
     own = data.sel(variable=name)
     low, high, log = (own[key].item() for key in ("low", "high", "logarithmic"))
     width = high - low
-    ends = (low / (high / low) ** 0.04, high * (high / low) ** 0.04) if log else (
-        low - 0.04 * width, high + 0.04 * width,
+    ends = (
+        (low / (high / low) ** 0.04, high * (high / low) ** 0.04)
+        if log
+        else (
+            low - 0.04 * width,
+            high + 0.04 * width,
+        )
     )
     axes.set(**{f"{which}scale": "log" if log else "linear", f"{which}lim": ends})
 
@@ -203,6 +210,6 @@ def _draw_branches(axes: Axes, branches: Mapping[str, xarray.Dataset]) -> None:
         x, y, stable = (branch[key].values for key in (axis, "amplitude_ratio", "stable"))
         draw_stable(axes, x, y, stable, color=color, linewidth=width)
         axes.plot([], [], color=color, linewidth=width, label=f"{name} rig")
-    last = next(reversed(branches.values()))
+    last = list(branches.values())[-1]
     axes.set_ylim(bottom=0.0)
     name_axes(axes, label_for(last[axis]), balanced(label_for(last["amplitude_ratio"])))
