@@ -10,6 +10,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "vibrojax"
 FLOORS = (
     {"cli": "commands", "explorer": "sliders"},
+    {"design": "which rig is best"},
     {
         "resolution": "how fine is enough",
         "maps": "over many numbers",

@@ -23,7 +23,7 @@ from vibrojax.design.rig_functions import range_of, rig_functions
 from vibrojax.design.settings import OptimiseSettings
 from vibrojax.design.side_by_side import End, search_side_by_side
 from vibrojax.design.trials import NEIGHBOURS, Trial, Trials, screen, starts_for
-from vibrojax.design.variables import Variables, check_rigs, variables_of
+from vibrojax.design.variables import Variables, variables_of
 from vibrojax.ensemble.ranges import Range
 from vibrojax.model.systems import AbstractSystem
 
@@ -91,7 +91,6 @@ def optimise(
     functions = named_functions({name_for(objective, "objective"): objective}, constraints)
     settings = settings or OptimiseSettings()
     worse = [-1 if maximise else 1, *(worse_side(c) for c in constraints)] if robust else []
-    check_rigs(make_system, held, numbers)
     evaluator, response = rig_functions(
         make_system, functions, held, along, settings, numbers, robust, worse
     )
@@ -129,27 +128,34 @@ def search_design(
     goal = screened_goal(trials, constraints, settings, maximise=maximise)
     ends: list[End] = []
     near: list[Trial] = []
-    best = trials.best(goal)
+    best, end = trials.best(goal), None
     stopped = len(trials.all) < settings.screened
     if not stopped:
         starts = starts_for(trials, goal, settings.starts)
         ends = _search(trials, goal, starts, ends, settings)
-        for _ in range(1 + POLISHED):
-            best = _best_end(goal, ends)
-            stopped = any(end.status == "interrupted" for end in ends)
-            if stopped:
+        for k in range(1 + POLISHED):
+            best, end = min(
+                ((e.trial, e) for e in ends if e.trial is not None),
+                key=lambda pair: goal.rank(pair[0].values),
+                default=(best, None),
+            )
+            stopped = end is None or any(one.status == "interrupted" for one in ends)
+            if end is None or stopped:
                 break
             try:
                 near = try_neighbours(trials, best)
+                better = trials.best(goal, near)
+                if not _is_better(goal, better, best):
+                    break
+                if k == POLISHED or end.status == "limit":
+                    best, near = better, []
+                    near = try_neighbours(trials, best)
+                    break
             except KeyboardInterrupt:
-                near, stopped = [], True
+                stopped = True
                 break
-            better = trials.best(goal, near)
-            if not _is_better(goal, better, best) or _status_at(best, ends) == "limit":
-                break
-            ends = _search(trials, goal, [better.place], ends, settings)
-        best = trials.best(goal, [best, *near])
-    return _optimum(trials, goal, constraints, best, near, ends, stopped, settings, response)
+            ends, near = _search(trials, goal, [better.place], ends, settings), []
+    return _optimum(trials, goal, constraints, best, near, ends, end, stopped, settings, response)
 
 
 def screened_goal(
@@ -237,19 +243,9 @@ def _search(
     )
 
 
-def _best_end(goal: Goal, ends: list[End]) -> Trial:
-    return min(
-        (end.trial for end in ends if end.trial is not None), key=lambda t: goal.rank(t.values)
-    )
-
-
 def _is_better(goal: Goal, one: Trial, other: Trial) -> bool:
     own, rank = goal.rank(one.values), goal.rank(other.values)
     return own[0] < rank[0] or (own[0] == rank[0] and own[1] < rank[1] - goal.tolerance)
-
-
-def _status_at(best: Trial, ends: list[End]) -> str:
-    return next((end.status for end in ends if end.trial is best), "stalled")
 
 
 def _optimum(
@@ -259,6 +255,7 @@ def _optimum(
     best: Trial,
     near: list[Trial],
     ends: list[End],
+    end: End | None,
     stopped: bool,
     settings: OptimiseSettings,
     response: Callable[[Any], Any] | None,
@@ -267,11 +264,11 @@ def _optimum(
     others = names[1:]
     first = trials.all[0]
     numbers = variables.numbers(best.place)
-    status = "interrupted" if stopped else _status_at(best, ends)
+    status = "interrupted" if stopped or end is None else end.status
     feasible = goal.meets(best.values)
     if not feasible and not stopped:
         status = "infeasible"
-    sentence = _sentence(trials, goal, best, ends, status, settings)
+    sentence = _sentence(trials, goal, best, ends, status, end.reason if end else "", settings)
     responses: list[Any] = [None, None]
     if response is not None and not stopped:
         try:
@@ -326,6 +323,7 @@ def _sentence(
     best: Trial,
     ends: list[End],
     status: str,
+    reason: str,
     settings: OptimiseSettings,
 ) -> str:
     names, count = trials.evaluator.functions, len(trials.all)
@@ -345,7 +343,6 @@ def _sentence(
         return f"{missed} Widen the bounds of the variables, or the constraints."
     if status == "interrupted":
         return f"Interrupted: the best of the {count} designs tried so far. {missed}".strip()
-    reason = next((end.reason for end in ends if end.trial is best), "")
     if status == "converged":
         costs = [goal.rank(e.trial.values) for e in ends if e.trial is not None]
         least = goal.rank(best.values)

@@ -16,7 +16,7 @@ from vibrojax.design.rig_functions import range_of, rig_functions
 from vibrojax.design.settings import OptimiseSettings
 from vibrojax.design.side_by_side import End, search_side_by_side
 from vibrojax.design.trials import Trial, Trials, starts_for
-from vibrojax.design.variables import Variables, check_rigs, variables_of
+from vibrojax.design.variables import Variables, variables_of
 from vibrojax.ensemble.ranges import Range
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.plot.optimum import plot_front
@@ -182,7 +182,6 @@ def pareto(
     settings = settings or OptimiseSettings()
     worse = [-1 if name in maximise else 1 for name in objectives]
     worse += [worse_side(c) for c in constraints] if robust else []
-    check_rigs(make_system, held, numbers)
     evaluator, _ = rig_functions(
         make_system, functions, held, along, settings, numbers, robust, worse
     )

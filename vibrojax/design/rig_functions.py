@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from vibrojax._tools.checks import check_positive
+from vibrojax.branches.settings import ContinuationSettings
 from vibrojax.design.evaluation import AbstractEvaluator
 from vibrojax.design.settings import OptimiseSettings
-from vibrojax.design.variables import Variables
+from vibrojax.design.variables import Variables, check_bounds, check_numbers
 from vibrojax.ensemble.ranges import Range, check_range_of
 
 
@@ -43,19 +44,22 @@ def rig_functions(
     """Return what evaluates functions of the response of rigs, and what gives the response.
 
     `worse` says for every function whether larger (1) or smaller (-1) values are worse, where
-    tolerances count.
+    tolerances count. Raises `ValueError` for numbers that the function does not take, or rigs that
+    cannot be made at a bound of a variable.
     """
-    from vibrojax.branches.settings import ContinuationSettings
     from vibrojax.design.rig_evaluator import (  # pyright: ignore[reportMissingImports]
         RigEvaluator,
     )
 
     axis, followed = along
+    check_numbers(make_system, variables, numbers)
     how: dict[str, Any] = {"axis": axis, "range": followed}
     how["settings"] = settings.continuation or ContinuationSettings()
     rigs = RigEvaluator(make_system, functions, variables.names, numbers=dict(numbers), **how)
+    check_bounds(rigs.check, variables)
+    response = rigs.response  # pyright: ignore[reportAttributeAccessIssue]
     if robust is None:
-        return rigs, rigs.response
+        return rigs, response
     from vibrojax.design.robust import RobustEvaluator  # pyright: ignore[reportMissingImports]
 
     others = [name for name in robust.tolerances if name not in variables.names]
@@ -63,4 +67,4 @@ def rig_functions(
     left = {name: value for name, value in numbers.items() if name not in held}
     names = (*variables.names, *others)
     inner = RigEvaluator(make_system, functions, names, numbers=left, **how)
-    return RobustEvaluator(inner, variables.names, robust, worse, held), rigs.response
+    return RobustEvaluator(inner, variables.names, robust, worse, held), response

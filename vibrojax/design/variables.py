@@ -13,11 +13,12 @@ from vibrojax._tools.checks import check_names, check_needed_arguments, nearest
 from vibrojax._tools.described import in_short
 from vibrojax._tools.kinds import is_list, is_number
 from vibrojax.ensemble.arguments import Zipped
-from vibrojax.ensemble.lanes import made_by
 from vibrojax.ensemble.ranges import Range
 
 DECADE = 10.0
 """Ratio of the bounds from which on a coordinate is logarithmic."""
+ROUNDING = 1e-12
+"""Of coordinates at the bounds."""
 ADVICE = "Give (low, high) or vj.Range(low, high, start=...)."
 
 
@@ -37,9 +38,11 @@ class Variables:
     def numbers(self, places: Float[np.ndarray, "*rigs numbers"]) -> Float[np.ndarray, "..."]:
         """Return the numbers at some coordinates."""
         low, high = self._ends
-        found = low + np.clip(places, 0.0, 1.0) * (high - low)
+        found = low + places * (high - low)
         found = np.where(self.logarithmic, np.exp(np.where(self.logarithmic, found, 0.0)), found)
-        return np.clip(found, self.low, self.high)
+        # At the bounds without rounding.
+        low_end, high_end = places <= ROUNDING, places >= 1 - ROUNDING
+        return np.where(low_end, self.low, np.where(high_end, self.high, found))
 
     def places(self, numbers: Float[np.ndarray, "*rigs numbers"]) -> Float[np.ndarray, "..."]:
         """Return the coordinates of some numbers."""
@@ -65,7 +68,7 @@ class Variables:
 
 
 def variables_of(
-    variables: Mapping[str, Range | Sequence[float]], logarithmic: Sequence[str] | None = None
+    variables: Mapping[str, Any], logarithmic: Sequence[str] | None = None
 ) -> Variables:
     """Read the bounds of a design.
 
@@ -119,20 +122,20 @@ def _range_of(name: str, given: Any) -> Range:
     return given if isinstance(given, Range) else Range(low, high)
 
 
-def check_rigs(
+def check_numbers(
     make_system: Callable[..., Any], variables: Variables, numbers: Mapping[str, Any]
 ) -> None:
-    """Build the rigs at both bounds of every variable, the others where the design begins.
+    """Raise `ValueError` where variables and numbers that stay are not what a function takes.
 
-    Raises `ValueError` for a name that the function does not take, or that is fixed too, an
-    argument that is missing, a fixed number that is a list or a range, or a rig that cannot be.
+    That is: an unknown name, one given twice, an argument that is missing, a list or a range among
+    the numbers that stay.
     """
     for name, value in numbers.items():
         if name in variables.names:
             raise ValueError(
                 f"{name} is given twice: in variables and as a number that stays. Leave one out."
             )
-        if isinstance(value, Range | Zipped) or (is_list(value) and not isinstance(value, str)):
+        if isinstance(value, Range | Zipped) or is_list(value):
             raise ValueError(
                 f"{name} must be one value that stays, got {in_short(value)}. What varies goes "
                 f'into variables={{"{name}": (low, high)}}.'
@@ -140,12 +143,19 @@ def check_rigs(
     check_names(make_system, variables.names, "variables")
     check_names(make_system, numbers)
     check_needed_arguments(make_system, (*variables.names, *numbers))
-    made_by(make_system, {**numbers, **variables.by_name(variables.start)})
+
+
+def check_bounds(check: Callable[[Any], Any], variables: Variables) -> None:
+    """Have the rigs built at both bounds of every variable, the others where the design begins.
+
+    `check` raises `ValueError` for the numbers of a rig that cannot be; so does this.
+    """
+    check(variables.start)
     for k, ends in itertools.product(range(len(variables.names)), (variables.low, variables.high)):
         place = variables.start.copy()
         place[k] = ends[k]
         try:
-            made_by(make_system, {**numbers, **variables.by_name(place)})
+            check(place)
         except ValueError as error:
             name = variables.names[k]
             raise ValueError(

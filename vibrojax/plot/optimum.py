@@ -78,7 +78,7 @@ def plot_front(front: xarray.Dataset) -> Figure:
         axes.plot(*values[~sure].T, "o", **style | HOLLOW, label="front, search not converged")
     for place, scale in ((values[:, 0], axes.set_xlim), (values[:, 1], axes.set_ylim)):
         width = np.ptp(place) or abs(place[0]) or 1.0
-        scale(place.min() - 0.15 * width, place.max() + 0.6 * width)
+        scale(place.min() - 0.3 * width, place.max() + 0.3 * width)
     ways = [
         "largest" if name in front.attrs["maximise"].split(", ") else "least" for name in (x, y)
     ]
