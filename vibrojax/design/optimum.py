@@ -6,18 +6,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.design.constraints import Goal, words_for
+from vibrojax.design.outputs import output_dataset
 from vibrojax.design.side_by_side import End
 from vibrojax.design.trials import Trial, Trials
 from vibrojax.plot.optimum import plot_optimum
 from vibrojax.results.saving import AbstractSaved
-from vibrojax.results.variables import axis_unit, named_value
+from vibrojax.results.variables import named_value
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
-
-SIDES = (1, 2)
-"""Of the neighbours in each variable: the lower and the higher one."""
 
 
 class Neighbour(NamedTuple):
@@ -114,78 +112,44 @@ class Optimum(AbstractSaved):
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return the best design over `variable`, its neighbours, and what each search tried."""
-        import xarray
-
-        si = {"units": "SI, as the rig's argument"}
-        own = {"units": "as the function returns it"}
-        one = {"units": "1"}
-        names, h = list(self.numbers), self.history
-        limits = np.array(list(self.limits.values())).reshape(-1, 2)
-        bounds = np.array(list(self.bounds.values()))
-        logs = [int(name in self.logarithmic) for name in names]
-        data: dict[str, tuple[Any, Any, dict[str, str], str]] = {
-            "best": ("variable", list(self.numbers.values()), si, "Best design"),
-            "first": ("variable", list(self.first.values()), si, "Design to begin with"),
-            "low": ("variable", bounds[:, 0], si, "Low bound"),
-            "high": ("variable", bounds[:, 1], si, "High bound"),
-            "logarithmic": ("variable", logs, one, "Whether its coordinate is logarithmic"),
-            "gradient": ("variable", list(self.gradient.values()), own, "Gradient"),
-            "curvature": (("variable", "variable_2"), self.curvature, own, "Second derivatives"),
-            "value": ((), self.value, own, "Objective of the best design"),
-            "first_value": ((), self.first_value, own, "Objective of the design to begin with"),
-            "design": (("evaluation", "variable"), h.design, si, "Design"),
-            "objective": ("evaluation", h.value, own, words_for(self.objective).capitalize()),
-            "feasible": ("evaluation", h.feasible.astype(int), one, "Whether constraints are met"),
-            "search": ("evaluation", h.search, one, "Search, 0: screened, -1: neighbour"),
-            "number_in_search": ("evaluation", h.number, one, "Number in the search"),
-            "note": ("evaluation", list(h.note), one, "Why something is missing"),
+        h, ends, near = self.history, self.ends, self.neighbours
+        bounds, limits = np.array(list(self.bounds.values())), list(self.limits.values())
+        values = {
+            "best": list(self.numbers.values()),
+            "first": list(self.first.values()),
+            "low": bounds[:, 0],
+            "high": bounds[:, 1],
+            "logarithmic": [name in self.logarithmic for name in self.numbers],
+            "gradient": list(self.gradient.values()),
+            "curvature": self.curvature,
+            "value": self.value,
+            "first_value": self.first_value,
+            "constraint_value": list(self.constraints.values()),
+            "least": [low for low, _ in limits],
+            "most": [high for _, high in limits],
+            "design": h.design,
+            "tried": h.value,
+            "tried_constraint": h.constraints,
+            "feasible": h.feasible,
+            "search": h.search,
+            "number_in_search": h.number,
+            "note": list(h.note),
+            "end_design": [list(end.numbers.values()) for end in ends],
+            "end_value": [end.value for end in ends],
+            "end_status": [end.status for end in ends],
+            "end_reason": [end.reason for end in ends],
+            "neighbour": [one.number for one in near],
+            "neighbour_value": [one.value for one in near],
+            "neighbour_constraint": [list(one.constraints.values()) for one in near],
         }
-        if self.constraints:
-            values = list(self.constraints.values())
-            data |= {
-                "constraint_value": ("constraint", values, own, "Value at the best design"),
-                "least": ("constraint", limits[:, 0], own, "Least value allowed"),
-                "most": ("constraint", limits[:, 1], own, "Largest value allowed"),
-                "constraint_values": (
-                    ("evaluation", "constraint"),
-                    h.constraints,
-                    own,
-                    "Values of the constrained functions",
-                ),
-            }
-        if self.ends:
-            designs = [list(end.numbers.values()) for end in self.ends]
-            data |= {
-                "end_design": (("end", "variable"), designs, si, "Where the search ended"),
-                "end_value": ("end", [e.value for e in self.ends], own, "Objective there"),
-                "end_status": ("end", [e.status for e in self.ends], one, "How it ended"),
-                "end_reason": ("end", [e.reason for e in self.ends], one, "Why it ended"),
-            }
-        if self.neighbours:
-            shape, over = (len(names), len(SIDES)), ("variable", "side")
-            places = np.reshape([n.number for n in self.neighbours], shape)
-            values = np.reshape([n.value for n in self.neighbours], shape)
-            data |= {
-                "neighbour": (over, places, si, "Number of the neighbouring design"),
-                "neighbour_value": (over, values, own, "Objective of the neighbouring design"),
-            }
-            if self.constraints:
-                values = [list(n.constraints.values()) for n in self.neighbours]
-                data["neighbour_constraint"] = (
-                    (*over, "constraint"),
-                    np.reshape(values, (*shape, -1)),
-                    own,
-                    "Values of the constrained functions of the neighbouring design",
-                )
-        coords: dict[str, Any] = {
-            "variable": names,
-            "variable_2": names,
-            "variable_units": ("variable", [axis_unit(name) for name in names]),
-            "evaluation": np.arange(1, len(h.value) + 1),
+        axes = {
+            "variable": list(self.numbers),
+            "variable_2": list(self.numbers),
+            "constraint": list(self.constraints),
+            "evaluation": range(1, len(h.value) + 1),
+            "end": [end.search for end in ends],
+            "side": (1, 2) if near else (),
         }
-        coords |= {"constraint": list(self.constraints)} if self.constraints else {}
-        coords |= {"end": [end.search for end in self.ends]} if self.ends else {}
-        coords |= {"side": list(SIDES)} if self.neighbours else {}
         told = {
             "objective": self.objective,
             "maximise": int(self.maximise),
@@ -193,11 +157,7 @@ class Optimum(AbstractSaved):
             "status": self.status,
             "sentence": self.sentence,
         }
-        arrays = {
-            name: (over, np.asarray(values), {**about, "long_name": long_name})
-            for name, (over, values, about, long_name) in data.items()
-        }
-        return xarray.Dataset(arrays, coords, attrs=told)
+        return output_dataset(values, axes, told)
 
     def plot(self) -> "Figure":
         """Draw the values that were tried, the ways of the searches, and the neighbours.

@@ -12,6 +12,7 @@ from vibrojax._tools.warn import warn
 from vibrojax.design.constraints import Constraint, Goal, named_functions, words_for
 from vibrojax.design.evaluation import AbstractEvaluator
 from vibrojax.design.optimise import screened_goal, worse_side
+from vibrojax.design.outputs import output_dataset
 from vibrojax.design.rig_functions import range_of, rig_functions
 from vibrojax.design.settings import OptimiseSettings
 from vibrojax.design.side_by_side import End, search_side_by_side
@@ -21,7 +22,6 @@ from vibrojax.ensemble.ranges import Range
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.plot.optimum import plot_front
 from vibrojax.results.saving import AbstractSaved
-from vibrojax.results.variables import axis_unit
 
 if TYPE_CHECKING:
     import xarray
@@ -67,40 +67,26 @@ class ParetoFront(AbstractSaved):
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return the front over `point`, with its designs, and all that was tried."""
-        import xarray
-
-        si = {"units": "SI, as the rig's argument"}
-        own = {"units": "as the function returns it"}
-        one = {"units": "1"}
-        along = ("point", "variable")
-        logs, tried = self.logarithmic.astype(int), self.feasible.astype(int)
-        data: dict[str, tuple[Any, Any, dict[str, str], str]] = {
-            "value": (("point", "objective"), self.values, own, "Objectives"),
-            "design": (along, self.designs, si, "Design"),
-            "status": ("point", list(self.status), one, "How the search ended"),
-            "low": ("variable", self.bounds[:, 0], si, "Low bound"),
-            "high": ("variable", self.bounds[:, 1], si, "High bound"),
-            "logarithmic": ("variable", logs, one, "Whether its coordinate is logarithmic"),
-            "tried": (("evaluation", "objective"), self.tried, own, "Objectives tried"),
-            "feasible": ("evaluation", tried, one, "Whether constraints are met"),
+        values = {
+            "front": self.values,
+            "front_design": self.designs,
+            "front_constraint": np.array(list(self.constraints.values())).T,
+            "front_status": list(self.status),
+            "low": self.bounds[:, 0],
+            "high": self.bounds[:, 1],
+            "logarithmic": self.logarithmic,
+            "tried_objectives": self.tried,
+            "feasible": self.feasible,
         }
-        coords: dict[str, Any] = {
-            "point": np.arange(1, len(self.values) + 1),
-            "objective": list(self.objectives),
-            "variable": list(self.names),
-            "variable_units": ("variable", [axis_unit(name) for name in self.names]),
-        }
-        if self.constraints:
-            values = np.stack(list(self.constraints.values()), axis=-1)
-            words = "Values of the constrained functions"
-            data["constraint_value"] = (("point", "constraint"), values, own, words)
-            coords["constraint"] = list(self.constraints)
-        arrays = {
-            name: (over, np.asarray(values), {**about, "long_name": long_name})
-            for name, (over, values, about, long_name) in data.items()
+        axes = {
+            "point": range(1, len(self.values) + 1),
+            "objective": self.objectives,
+            "variable": self.names,
+            "constraint": list(self.constraints),
+            "evaluation": range(1, len(self.tried) + 1),
         }
         told = {"maximise": ", ".join(self.maximise), "sentence": self.sentence}
-        return xarray.Dataset(arrays, coords, attrs=told)
+        return output_dataset(values, axes, told)
 
     def plot(self) -> "Figure":
         """Draw both objectives against each other, and the designs along the front.

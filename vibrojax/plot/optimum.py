@@ -60,18 +60,18 @@ def plot_optimum(optimum: xarray.Dataset, branches: Mapping[str, xarray.Dataset]
 def plot_front(front: xarray.Dataset) -> Figure:
     """Draw two objectives against each other, and the designs along the front."""
     x, y = front["objective"].values.tolist()
-    values = front["value"].values
+    values = front["front"].values
     names = [str(name) for name in front["variable"].values]
     columns = min(len(names), COLUMNS)
     rows = -(-len(names) // columns)
     figure = empty_picture((SIZE[0] + 2.0, 5.0 + 2.4 * rows))
     grid = figure.add_gridspec(1 + rows, columns, height_ratios=[4.4, *([2.0] * rows)])
     axes = _panel(figure, grid[0, :])
-    tried, feasible = front["tried"].values, front["feasible"].values.astype(bool)
+    tried, feasible = front["tried_objectives"].values, front["feasible"].values.astype(bool)
     shown = tried[feasible]
     axes.plot(*shown.T, "o", color=COLORS["pale"], markersize=3, label="designs tried")
     axes.plot(*values.T, "-", color=COLORS["blue"], linewidth=1.2)
-    sure = front["status"].values == "converged"
+    sure = front["front_status"].values == "converged"
     style: dict[str, Any] = {"linestyle": "none", "color": COLORS["blue"], "markersize": 8}
     axes.plot(*values[sure].T, "o", **style, label="front")
     if not sure.all():
@@ -86,7 +86,7 @@ def plot_front(front: xarray.Dataset) -> Figure:
     name_axes(axes, *labels)
     for k, name in enumerate(names):
         panel = _panel(figure, grid[1 + k // columns, k % columns])
-        panel.plot(values[:, 0], front["design"].values[:, k], "o-", color=COLORS["blue"])
+        panel.plot(values[:, 0], front["front_design"].values[:, k], "o-", color=COLORS["blue"])
         _scale(panel, front, name, "y")
         name_axes(panel, balanced(_words(x), 26), balanced(_label(name), 22))
     return outside_legend(figure)
@@ -129,7 +129,7 @@ def _search_style(search: int) -> dict[str, Any]:
 
 def _draw_history(axes: Axes, data: xarray.Dataset) -> None:
     """Draw every value that was tried, by search, and the best one so far."""
-    count, value = data["evaluation"].values, data["objective"].values
+    count, value = data["evaluation"].values, data["tried"].values
     search, feasible = data["search"].values, data["feasible"].values.astype(bool)
     known = value[np.isfinite(value)]
     if known.min() > 0 and known.max() > WIDE * known.min():
@@ -159,7 +159,7 @@ def _draw_history(axes: Axes, data: xarray.Dataset) -> None:
             count, best, where="post", color=COLORS["black"], linewidth=1.8, label="best so far"
         )
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    name_axes(axes, "Designs tried", balanced(label_for(data["objective"]).split(" (")[0], 30))
+    name_axes(axes, "Designs tried", balanced(_words(data.attrs["objective"]), 30))
 
 
 def _draw_ways(axes: Axes, data: xarray.Dataset, name: str) -> None:
