@@ -265,9 +265,10 @@ def _optimum(
     first = trials.all[0]
     numbers = variables.numbers(best.place)
     status = "interrupted" if stopped or end is None else end.status
-    feasible = goal.meets(best.values)
-    if not feasible and not stopped:
+    if not goal.meets(best.values) and not stopped:
         status = "infeasible"
+    elif status == "stalled" and near and end is not None and end.trial is best:
+        status = "kink"
     sentence = _sentence(trials, goal, best, ends, status, end.reason if end else "", settings)
     responses: list[Any] = [None, None]
     if response is not None and not stopped:
@@ -353,9 +354,10 @@ def _sentence(
             f"A search may try {settings.max_rounds} designs, and they are used up: a higher "
             "max_rounds may lead to a better one."
         )
-    if status == "stalled":
-        return (
-            "No step along the slope makes it better, though the slope is not flat there: the "
-            f"objective or a constraint may have a kink. {reason}".strip()
-        )
+    if status == "kink":
+        lost = [t for t in trials.all if t.search == NEIGHBOURS and not goal.knows(t.values)]
+        why = "what is sought has a kink there, as where two peaks are equally high."
+        if lost:
+            why = f"it is at the edge of where there are values. {lost[0].note}".strip()
+        return f"All designs next to it are worse, though its slope is not flat: {why}"
     return f"The search could not go on. {reason}"

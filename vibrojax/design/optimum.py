@@ -95,9 +95,10 @@ class Optimum(AbstractSaved):
     ends: tuple[SearchEnd, ...]
     """Where each search ended."""
     status: str
-    """converged: no step makes it better; limit: designs that could be tried are used up;
-    stalled: no better step was found, without a flat gradient (a kink); no slope: a derivative was
-    missing; infeasible: it misses constraints; interrupted: by Ctrl-C."""
+    """converged: no step makes it better; kink: all neighbours are worse, without a flat slope;
+    stalled: no better step was found, though a neighbour is better; limit: the designs that may be
+    tried are used up; no slope: a derivative is missing; infeasible: it misses constraints;
+    interrupted: by Ctrl-C."""
     sentence: str
     """What was found, in words."""
     response: Any = None

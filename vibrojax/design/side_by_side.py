@@ -27,6 +27,11 @@ STRIDE = 0.1
 """Length of the first step of a search, over the range of a variable."""
 AGAIN = 3
 """How often a search that is stuck begins afresh from where it has come to."""
+SHORTER, SHORTENED, PATIENCE = 0.6, 5, 12
+"""SLSQP is stuck, at a kink, where it shortens a step to this so many times without making anything
+better, or where so many designs do not."""
+GAIN = 1000.0
+"""What counts as better then, over the tolerance."""
 INSIDE = 1e-3
 """How far from the bounds a search of trust-constr begins, which stays between them."""
 SCIPY = (".*outside bounds during a minimize step", "delta_grad == 0.0", "Singular Jacobian")
@@ -51,6 +56,14 @@ class _Over(Exception):
         self.status, self.reason = status, reason
 
 
+class _Feasible(Exception):
+    """Constraints are met."""
+
+
+class _Stuck(Exception):
+    """A search goes to and fro."""
+
+
 class _Search:
     """One search, in coordinates from 0 to 1."""
 
@@ -70,6 +83,8 @@ class _Search:
         """The best so far of which all that counts has a value."""
         self.seeks_feasible = False
         self.failed = FAILED
+        self.mark, self.steps = (np.inf, np.inf), [0.0]
+        """The rank when something last became better, and the steps tried since then."""
 
     def run(self) -> End:
         """Search until nothing can be made better; return how it ended."""
@@ -84,41 +99,33 @@ class _Search:
         self._at(self.start)
         if not self._is_feasible:
             self._meet_constraints()
-        place, reason = self._best.place, "it goes to and fro"
         for _ in range(AGAIN):
             before = self._rank()
-            found = self._minimise(
-                place, self._cost, self._cost_slope, self._constraints(), self.goal.tolerance
-            )
+            with suppress(_Stuck):
+                found = self._minimise(
+                    self._cost, self._cost_slope, self._constraints(), self.goal.tolerance
+                )
+                if found.success and self._is_feasible:
+                    return _reason(found)
             if not self._is_feasible:
                 self._meet_constraints()
-                place = self._best.place
-                continue
-            reason = _reason(found)
-            if found.success:
-                return reason
-            after = self._rank()
-            if not after[0] < before[0] and before[1] - after[1] < self.goal.tolerance:
-                break  # stuck, and not for a Hessian that has gone bad
-            place = self._best.place
-        raise _Over("stalled", f"No further step makes it better ({reason}).")
+            elif not self._is_better(before):
+                break  # and not for a Hessian that has gone bad
+        raise _Over("stalled", "Its steps become short without making it better.")
 
     def _meet_constraints(self) -> None:
         """Minimise how far bounds are missed. Ends the search where they cannot be met."""
         self.seeks_feasible = True
         with suppress(_Feasible):
-            tolerance = 1e-2 * self.goal.tolerance**2  # of squares
-            found = self._minimise(
-                self._best.place, self._missed, self._missed_slope, [], tolerance
-            )
-            raise _Over(
-                "infeasible", f"No step brings it nearer to its constraints ({_reason(found)})."
-            )
+            with suppress(_Stuck):
+                tolerance = 1e-2 * self.goal.tolerance**2  # of squares
+                self._minimise(self._missed, self._missed_slope, [], tolerance)
+            raise _Over("infeasible", "No step brings it nearer to its constraints.")
         self.seeks_feasible = False
 
-    def _minimise(
-        self, place: Any, cost: Any, slope: Any, constraints: list[Any], tolerance: float
-    ) -> Any:
+    def _minimise(self, cost: Any, slope: Any, constraints: list[Any], tolerance: float) -> Any:
+        place = self._best.place
+        self.mark, self.steps = self._rank(), [0.0]
         ends: Any = np.zeros(len(place)), np.ones(len(place))
         bounds = scipy.optimize.Bounds(*ends, keep_feasible=True)
         options: dict[str, float] = {"maxiter": 10 * self.most}
@@ -164,6 +171,12 @@ class _Search:
     def _rank(self) -> tuple[float, float]:
         return (np.inf, np.inf) if self.known is None else self.goal.rank(self.known.values)
 
+    def _is_better(self, than: tuple[float, float]) -> bool:
+        own, least = self._rank(), GAIN * self.goal.tolerance
+        return own[0] < than[0] - least * (own[0] > 0) or (
+            own[0] <= than[0] and own[1] < than[1] - least
+        )
+
     def _at(self, place: Float[np.ndarray, " numbers"]) -> Trial:
         place = np.clip(np.asarray(place, float), 0.0, 1.0)
         key = place.tobytes()
@@ -178,7 +191,19 @@ class _Search:
                 self.known = trial
             if self.seeks_feasible and self._is_feasible:
                 raise _Feasible
+            self._notice(float(np.linalg.norm(place - self._best.place)))
         return self.tried[key]
+
+    def _notice(self, step: float) -> None:
+        """Notice the length of a step from the best design. Raises `_Stuck` where it is in vain."""
+        if self._is_better(self.mark):
+            self.mark, self.steps = self._rank(), [step]
+            return
+        self.steps.append(step)
+        last = np.array(self.steps[-SHORTENED - 1 :])
+        shortened = len(last) > SHORTENED and bool((last[1:] < SHORTER * last[:-1]).all())
+        if self.method == "SLSQP" and (shortened or len(self.steps) > PATIENCE):
+            raise _Stuck
 
     def _cost(self, place: Float[np.ndarray, " numbers"]) -> float:
         trial = self._at(place)
@@ -212,10 +237,6 @@ class _Search:
         missed = self.goal.excess(self._at(place).values)
         parts = [2 * missed[k] * self._slope(k, place) for k in self.goal.bounded]
         return np.sum(parts, axis=0)
-
-
-class _Feasible(Exception):
-    """Constraints are met."""
 
 
 def _reason(found: Any) -> str:
