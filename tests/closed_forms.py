@@ -1,5 +1,7 @@
 """Functions of designs in closed form, for tests of searches."""
 
+import _thread
+import time
 from collections.abc import Callable, Sequence
 
 import jax
@@ -31,7 +33,8 @@ class ClosedForm(AbstractEvaluator):
 
     def evaluate(self, places, *, slopes=True):
         self.batches.append(len(places))
-        whole = np.resize(places, (64, places.shape[1]))  # one program for all
+        size = -(-len(places) // 64) * 64  # one program for all
+        whole = np.resize(places, (size, places.shape[1]))
         values = np.array(self._values(whole))
         derivatives = np.array(self._slopes(whole))
         found = []
@@ -43,6 +46,21 @@ class ClosedForm(AbstractEvaluator):
                 derivatives[k], note = np.nan, "a fold vanishes." if slopes else ""
             found.append(Evaluation(values[k], derivatives[k], note))
         return found
+
+
+class Interrupted(ClosedForm):
+    """Ctrl-C comes with some batch, which then goes on for long."""
+
+    def __init__(self, *args, batch):
+        super().__init__(*args)
+        self.batch = batch
+
+    def evaluate(self, places, *, slopes=True):
+        if len(self.batches) == self.batch:
+            _thread.interrupt_main()
+            for _ in range(100):
+                time.sleep(0.1)
+        return super().evaluate(places, slopes=slopes)
 
 
 def rosenbrock(place):

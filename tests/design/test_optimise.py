@@ -1,6 +1,5 @@
 """Searches for designs, on functions in closed form."""
 
-import _thread
 import threading
 import time
 import types
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 import xarray
-from closed_forms import ClosedForm, rosenbrock
+from closed_forms import ClosedForm, Interrupted, rosenbrock
 
 import vibrojax as vj
 from vibrojax.design.constraints import Constraint
@@ -168,21 +167,6 @@ def test_a_search_ends_when_its_designs_are_used_up():
     assert found.status == "limit"
     assert found.evaluations == 16 + 2 * 4 + 4
     assert "max_rounds" in found.sentence
-
-
-class Interrupted(ClosedForm):
-    """Ctrl-C comes with some batch, which then goes on for long."""
-
-    def __init__(self, *args, batch):
-        super().__init__(*args)
-        self.batch = batch
-
-    def evaluate(self, places, *, slopes=True):
-        if len(self.batches) == self.batch:
-            _thread.interrupt_main()
-            for _ in range(100):
-                time.sleep(0.1)
-        return super().evaluate(places, slopes=slopes)
 
 
 def searching_threads():

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
-from closed_forms import ClosedForm
+from closed_forms import ClosedForm, Interrupted
 
 from vibrojax.design.constraints import Constraint
 from vibrojax.design.optimise import search_design
@@ -63,6 +63,14 @@ def test_dominated_points_are_left_out_and_said():
     assert "left out" in front.sentence
 
 
+def test_designs_without_a_value_of_one_objective_are_on_no_front():
+    rigs = ClosedForm({"near": near, "far": lambda p: jnp.where(p[0] > 0.3, far(p), jnp.nan)})
+    front = search_front(rigs, BOX, points=5, settings=FEW)
+    assert np.isfinite(front.values).all()
+    assert front.values[-1].tolist() == pytest.approx([2.0, 0.0], abs=1e-3)
+    assert (front.designs[:, 0] >= 0.3).all()
+
+
 def test_no_front_where_constraints_cannot_be_met():
     rigs = ClosedForm({"near": near, "far": far, "y": lambda p: p[1]})
     with pytest.warns(UserWarning, match="there is no front"):
@@ -70,6 +78,16 @@ def test_no_front_where_constraints_cannot_be_met():
     assert front.values.shape == (0, 2)
     with pytest.raises(ValueError, match="nothing to draw"):
         front.plot()
+
+
+@pytest.mark.parametrize("batch", [1, 3, 11])
+def test_ctrl_c_leaves_the_front_so_far(batch):
+    rigs = Interrupted({"near": near, "far": far}, batch=batch)
+    front = search_front(rigs, BOX)
+    assert front.sentence.startswith("Interrupted")
+    assert len(front.values) >= 2
+    assert set(front.status) <= {"converged", "interrupted"}
+    assert "interrupted" in front.status
 
 
 @pytest.mark.parametrize(

@@ -90,6 +90,8 @@ class Goal(NamedTuple):
     """What a difference of one is in a search, in the unit of the function."""
     tolerance: float
     """By how many spreads bounds may be missed."""
+    also: tuple[int, ...] = ()
+    """Functions that must have a value besides."""
 
     def cost(self, values: Float[np.ndarray, " functions"]) -> float:
         """Return what is minimised."""
@@ -103,7 +105,7 @@ class Goal(NamedTuple):
 
     def knows(self, values: Float[np.ndarray, " functions"]) -> bool:
         """Whether all that counts has a value."""
-        return bool(np.isfinite(values[[self.objective, *self.bounded]]).all())
+        return bool(np.isfinite(values[[self.objective, *self.bounded, *self.also]]).all())
 
     def excess(self, values: Float[np.ndarray, " functions"]) -> Float[np.ndarray, " functions"]:
         """Return by how much each bound is missed, signed as the values are, in spreads."""

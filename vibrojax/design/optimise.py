@@ -90,7 +90,8 @@ def optimise(
     along = range_of(frequency_ratio, frequency)
     functions = named_functions({name_for(objective, "objective"): objective}, constraints)
     settings = settings or OptimiseSettings()
-    worse = [-1 if maximise else 1, *(worse_side(c) for c in constraints)] if robust else []
+    worse = [-1 if maximise else 1]
+    worse += [worse_side(c) for c in constraints] if robust is not None else []
     evaluator, response = rig_functions(
         make_system, functions, held, along, settings, numbers, robust, worse
     )
@@ -187,6 +188,7 @@ def screened_goal(
         most=bounds[:, 1],
         spread=spread_of(values),
         tolerance=settings.tolerance,
+        also=tuple(range(objectives)),
     )
     if not any(goal.knows(own) for own in values):
         if stopped is not None:

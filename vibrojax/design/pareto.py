@@ -167,7 +167,7 @@ def pareto(
     functions = named_functions(dict(objectives), constraints)
     settings = settings or OptimiseSettings()
     worse = [-1 if name in maximise else 1 for name in objectives]
-    worse += [worse_side(c) for c in constraints] if robust else []
+    worse += [worse_side(c) for c in constraints] if robust is not None else []
     evaluator, _ = rig_functions(
         make_system, functions, held, along, settings, numbers, robust, worse
     )
@@ -265,9 +265,10 @@ def _front(
         said = [f"None of the {len(every)} designs tried meets all constraints: there is no front."]
         warn(said[0])
     status = {id(end.trial): end.status for end in ends if end.trial is not None}
-    bad = [t for t in kept if status.get(id(t), "stalled") not in ("converged",)]
+    how = [status.get(id(t), "interrupted" if interrupted else "stalled") for t in kept]
+    bad = len(how) - how.count("converged")
     if bad and not interrupted:
-        said.append(f"The searches for {len(bad)} of them did not converge: see status.")
+        said.append(f"The searches for {bad} of them did not converge: see status.")
     variables = trials.variables
     places = np.array([t.place for t in kept]).reshape(len(kept), len(variables.names))
     values = np.array([t.values for t in kept]).reshape(len(kept), len(names))
@@ -278,7 +279,7 @@ def _front(
         designs=variables.numbers(places),
         names=variables.names,
         constraints={name: values[:, 2 + k] for k, name in enumerate(names[2:])},
-        status=tuple(status.get(id(t), "stalled") for t in kept),
+        status=tuple(how),
         bounds=np.stack([variables.low, variables.high], axis=-1),
         logarithmic=variables.logarithmic,
         tried=every[:, :2],

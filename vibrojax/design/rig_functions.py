@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from vibrojax._tools.checks import check_positive
+from vibrojax._tools.described import in_short
 from vibrojax.branches.settings import ContinuationSettings
 from vibrojax.design.evaluation import AbstractEvaluator
 from vibrojax.design.settings import OptimiseSettings
@@ -60,8 +61,13 @@ def rig_functions(
     response = rigs.response  # pyright: ignore[reportAttributeAccessIssue]
     if robust is None:
         return rigs, response
-    from vibrojax.design.robust import RobustEvaluator  # pyright: ignore[reportMissingImports]
+    from vibrojax.design.robust import (  # pyright: ignore[reportMissingImports]
+        Robust,
+        RobustEvaluator,
+    )
 
+    if not isinstance(robust, Robust):
+        raise ValueError(f"robust must be a Robust, or None, got {in_short(robust)}.")
     others = [name for name in robust.tolerances if name not in variables.names]
     held = {name: numbers[name] for name in others if name in numbers}
     left = {name: value for name, value in numbers.items() if name not in held}

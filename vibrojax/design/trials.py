@@ -1,5 +1,6 @@
 """Designs that were tried: evaluated side by side, in coordinates from 0 to 1, none forgotten."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -41,6 +42,7 @@ class Trials:
     def __init__(self, evaluator: AbstractEvaluator, variables: Variables) -> None:
         self.evaluator, self.variables = evaluator, variables
         self.all: list[Trial] = []
+        self._counts: Counter[int] = Counter()
 
     def evaluate(
         self,
@@ -55,7 +57,8 @@ class Trials:
         stretch = self.variables.stretch(numbers)
         made = []
         for own, place, along, search in zip(found, places, stretch, searches, strict=True):
-            count = 1 + sum(trial.search == search for trial in (*self.all, *made))
+            self._counts[search] += 1
+            count = self._counts[search]
             made.append(Trial(search, count, place, own.values, own.slopes * along, own.note))
         self.all += made
         return made

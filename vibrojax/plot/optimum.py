@@ -183,7 +183,9 @@ def _draw_slice(axes: Axes, data: xarray.Dataset, name: str, is_first: bool) -> 
     y = np.append(near["neighbour_value"].values, value)
     order = np.argsort(x)
     x, y = x[order], y[order]
-    if np.isfinite(y).all():
+    if data.attrs["status"] == "kink":
+        axes.plot(x, y, color=GREY, linewidth=1.2)
+    elif np.isfinite(y).all():
         along = np.linspace(x[0], x[-1], 61)
         middle, half = (x[0] + x[-1]) / 2, (x[-1] - x[0]) / 2
         curve = np.polyfit((x - middle) / half, y, 2)
