@@ -15,7 +15,7 @@ from vibrojax._tools.signatures import validated
 class Constraint:
     """Bounds on a function of a response, both of which belong to what is allowed.
 
-        vj.design.Constraint(lambda response: response.largest_contact_force, most=20.0)
+        vj.design.Constraint(lambda response: response.peak("contact_force"), most=20.0)
 
     Raises `ValueError` where there is no bound, or the least value is above the most.
     """

@@ -56,7 +56,7 @@ def optimise(
 
         vj.optimise(
             vj.default_rig,
-            lambda response: response.peak_amplitude_ratio,
+            lambda response: response.peak(),
             variables={"gap": (1e-4, 1e-3), "stiffness": (1e3, 1e5)},
             frequency_ratio=vj.Range(0.85, 1.31),
         )

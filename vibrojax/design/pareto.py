@@ -1,4 +1,4 @@
-"""Fronts of two objectives: designs of which none is better in one without being worse in other."""
+"""Fronts of two objectives: none of the designs is better in one without loss in the other."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -135,7 +135,7 @@ def pareto(
 
         vj.design.pareto(
             vj.default_rig,
-            {"force": lambda r: r.largest_contact_force, "peak": lambda r: r.peak},
+            {"peak": lambda r: r.peak(), "force": lambda r: r.peak("contact_force")},
             variables={"gap": (1e-4, 1e-3), "stiffness": (1e3, 1e5)},
             frequency_ratio=vj.Range(0.85, 1.31),
         )

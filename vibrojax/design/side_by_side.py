@@ -35,7 +35,7 @@ GAIN = 1000.0
 INSIDE = 1e-3
 """How far from the bounds a search of trust-constr begins, which stays between them."""
 SCIPY = (".*outside bounds during a minimize step", "delta_grad == 0.0", "Singular Jacobian")
-"""Beginnings of warnings that scipy gives its developer users."""
+"""Beginnings of warnings of scipy that tell a user nothing here."""
 
 
 class End(NamedTuple):
