@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 STARTS = 2
 """Searches for each point between the ends."""
+SLACK = 1e-4
+"""By which share of the front the best of one objective may be missed at its end."""
 ALIKE = 1e-3
 """Share of the front within which points count as one."""
 
@@ -140,9 +142,10 @@ def pareto(
             frequency_ratio=vj.Range(0.85, 1.31),
         )
 
-    The ends are the best designs of each objective alone. Between them the first objective is made
-    best with the second held at values evenly apart (the epsilon constraint of Haimes et al. 1971),
-    all points side by side. Ctrl-C returns what was found so far.
+    The ends are the best designs of each objective alone, of several equal ones the best in the
+    other objective. Between them the first objective is made best with the second held at values
+    evenly apart (the epsilon constraint of Haimes et al. 1971), all points side by side. Ctrl-C
+    returns what was found so far.
 
     Parameters:
         make_system: a function from named numbers to a system.
@@ -211,29 +214,38 @@ def search_front(
         if alone[0].meets(trials.best(alone[0]).values):
             between = _between(trials, alone, points)
         search([(g, s) for g in between for s in _starts(trials, g, alone)])
-    found = [trials.best(goal) for goal in (*alone[:1], *between, *alone[1:])]
+    found = [trials.best(goal) for goal in between or alone]
     return _front(trials, alone, found, ends, constraints, maximise, settings)
 
 
 def _between(trials: Trials, alone: list[Goal], points: int) -> list[Goal]:
-    """Return the goals between the ends: the first objective, at bounds on the second."""
-    ends = [trials.best(goal).values for goal in alone]
+    """Return the goals along the front: the first objective, at bounds on the second.
+
+    At the first end it is the other way round, so that neither end can be dominated.
+    """
+    ends = np.array([trials.best(goal).values[:2] for goal in alone])
+    slack = SLACK * np.abs(ends[1] - ends[0])
     first, second = alone
-    found = []
-    for bound in np.linspace(ends[0][1], ends[1][1], points)[1:-1]:
-        least, most = first.least.copy(), first.most.copy()
-        (most if second.sign > 0 else least)[1] = bound
-        found.append(first._replace(least=least, most=most))
-    return found
+
+    def bounded(goal: Goal, by: Goal, bound: float) -> Goal:
+        least, most = goal.least.copy(), goal.most.copy()
+        (most if by.sign > 0 else least)[by.objective] = bound
+        return goal._replace(least=least, most=most)
+
+    bounds = np.linspace(ends[0, 1], ends[1, 1], points)[1:]
+    bounds[-1] += second.sign * slack[1]
+    start = bounded(second, first, float(ends[0, 0] + first.sign * slack[0]))
+    return [start, *(bounded(first, second, float(bound)) for bound in bounds)]
 
 
 def _starts(trials: Trials, goal: Goal, alone: list[Goal]) -> list[np.ndarray]:
     """Return where a search between the ends begins: the best known, and on the way between."""
     known = trials.best(goal)
     one, other = (trials.best(end) for end in alone)
-    bound = goal.most[1] if np.isfinite(goal.most[1]) else goal.least[1]
-    width = other.values[1] - one.values[1]
-    share = np.clip((bound - one.values[1]) / width if width else 0.5, 0.0, 1.0)
+    k = 1 - goal.objective
+    bound = goal.most[k] if np.isfinite(goal.most[k]) else goal.least[k]
+    width = other.values[k] - one.values[k]
+    share = np.clip((bound - one.values[k]) / width if width else 0.5, 0.0, 1.0)
     return [known.place, one.place + share * (other.place - one.place)][:STARTS]
 
 
@@ -265,6 +277,9 @@ def _front(
         said = [f"None of the {len(every)} designs tried meets all constraints: there is no front."]
         warn(said[0])
     status = {id(end.trial): end.status for end in ends if end.trial is not None}
+    for end, goal_alone in zip((found[0], found[-1]), alone, strict=True):
+        if status.get(id(end)) == "stalled":  # in the little room that its bound leaves
+            status[id(end)] = status.get(id(trials.best(goal_alone)), "stalled")
     how = [status.get(id(t), "interrupted" if interrupted else "stalled") for t in kept]
     bad = len(how) - how.count("converged")
     if bad and not interrupted:
