@@ -26,7 +26,7 @@ from vibrojax.plot.style import (
 )
 from vibrojax.results.variables import axis_description, axis_unit, with_unit
 
-COLUMNS = 4
+COLUMNS = 5
 """Panels of variables beside each other."""
 WIDE = 30.0
 """Ratio of values from which on their axis is logarithmic."""
@@ -44,7 +44,7 @@ def plot_optimum(optimum: xarray.Dataset, branches: Mapping[str, xarray.Dataset]
     has_near = "neighbour" in optimum
     own = [2.0] * has_near + [2.0]
     heights = [3.2, *(own * blocks), *([3.4] if branches else [])]
-    figure = empty_picture((SIZE[0] + 2.0, sum(heights) + 0.5 * len(heights) + 0.6))
+    figure = empty_picture((_width(columns), sum(heights) + 0.5 * len(heights) + 0.6))
     grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
     _draw_history(_panel(figure, grid[0, :]), optimum)
     for k, name in enumerate(names):
@@ -64,7 +64,7 @@ def plot_front(front: xarray.Dataset) -> Figure:
     names = [str(name) for name in front["variable"].values]
     columns = min(len(names), COLUMNS)
     rows = -(-len(names) // columns)
-    figure = empty_picture((SIZE[0] + 2.0, 5.0 + 2.4 * rows))
+    figure = empty_picture((_width(columns), 5.0 + 2.4 * rows))
     grid = figure.add_gridspec(1 + rows, columns, height_ratios=[4.4, *([2.0] * rows)])
     axes = _panel(figure, grid[0, :])
     tried, feasible = front["tried_objectives"].values, front["feasible"].values.astype(bool)
@@ -90,6 +90,10 @@ def plot_front(front: xarray.Dataset) -> Figure:
         _scale(panel, front, name, "y")
         name_axes(panel, balanced(_words(x), 26), balanced(_label(name), 22))
     return outside_legend(figure)
+
+
+def _width(columns: int) -> float:
+    return max(SIZE[0] + 2.0, 2.8 * columns)
 
 
 def _panel(figure: Any, place: Any) -> Axes:
@@ -172,7 +176,7 @@ def _draw_ways(axes: Axes, data: xarray.Dataset, name: str) -> None:
     axes.axhline(data["best"].sel(variable=name).item(), color=COLORS["black"], linewidth=0.9)
     _scale(axes, data, name, "y")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
-    name_axes(axes, "Design of the search", balanced(_label(name), 22))
+    name_axes(axes, "Try of search", balanced(_label(name), 22))
 
 
 def _draw_slice(axes: Axes, data: xarray.Dataset, name: str, is_first: bool) -> None:
@@ -198,7 +202,8 @@ def _draw_slice(axes: Axes, data: xarray.Dataset, name: str, is_first: bool) -> 
     axes.plot(x[missed], y[missed], **ring)
     words = "best design"
     axes.plot(best, value, "*", color=COLORS["black"], markersize=12, label=words, linestyle="none")
-    axes.xaxis.set_major_locator(MaxNLocator(nbins=3))
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=2))
+    axes.xaxis.set_major_formatter("{x:.5g}")
     axes.margins(y=0.2)
     name_axes(axes, balanced(_label(name), 26), balanced("Next to the best", 20) * is_first or None)
 
