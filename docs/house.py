@@ -10,6 +10,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "vibrojax"
 FLOORS = (
     {"cli": "commands", "explorer": "sliders"},
+    {"design": "which rig is best"},
     {
         "design": "the rig wanted",
         "resolution": "how fine is enough",
