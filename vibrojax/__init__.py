@@ -15,6 +15,7 @@ from vibrojax._tools import threads as _threads  # noqa: F401
 
 # isort: split
 from vibrojax import branches as branches
+from vibrojax import design as design
 from vibrojax import explorer as explorer
 from vibrojax import history as history
 from vibrojax import identification as identification
@@ -29,6 +30,8 @@ from vibrojax.branches.continue_response import continue_response as continue_re
 from vibrojax.branches.fold_curves import fold_curves as fold_curves
 from vibrojax.branches.folds import fold_response as fold_response
 from vibrojax.branches.settings import ContinuationSettings as ContinuationSettings
+from vibrojax.design.optimise import optimise as optimise
+from vibrojax.design.propagate import propagate as propagate
 from vibrojax.ensemble.arguments import zipped as zipped
 from vibrojax.ensemble.ranges import Range as Range
 from vibrojax.explorer.explore import explore as explore
@@ -45,7 +48,6 @@ from vibrojax.model.drives import Harmonic as Harmonic
 from vibrojax.model.drives import NoDrive as NoDrive
 from vibrojax.model.drives import PointForce as PointForce
 from vibrojax.model.elastic_pendulum import ElasticPendulum as ElasticPendulum
-from vibrojax.model.elastic_pendulum import Limiters as Limiters
 from vibrojax.model.elastic_pendulum import default_pendulum as default_pendulum
 from vibrojax.model.examples import default_rig as default_rig
 from vibrojax.model.harvester import Harvester as Harvester
@@ -70,7 +72,6 @@ from vibrojax.regime.lyapunov import lyapunov_exponent as lyapunov_exponent
 from vibrojax.regime.regimes import regimes as regimes
 from vibrojax.regime.settings import BasinSettings as BasinSettings
 from vibrojax.regime.settings import RegimeSettings as RegimeSettings
-from vibrojax.resolution import ResolutionCheck as ResolutionCheck
 from vibrojax.resolution import check_resolution as check_resolution
 from vibrojax.results.status import Status as Status
 from vibrojax.steady.kinds import Regime as Regime

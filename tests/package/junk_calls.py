@@ -197,7 +197,7 @@ CALLS = {
         vj.LinearisedPendulum,
         dict(pendulum=vj.default_pendulum(num_links=3), num_modes=2),
     ),
-    "Limiters": (vj.Limiters, dict(height=0.1, distance=0.01, law=LAW)),
+    "Limiters": (vj.model.Limiters, dict(height=0.1, distance=0.01, law=LAW)),
     "HarmonicBalance": (vj.HarmonicBalance, {}),
     "Shooting": (vj.Shooting, {}),
     "ExactContact": (vj.ExactContact, {}),

@@ -138,7 +138,7 @@ QUICK = {
     "LyapunovExponent": lambda: vj.regime.LyapunovExponent(
         *map(jnp.asarray, (0.05, 0.003, np.linspace(0.0, 0.1, 40), np.zeros(2), 7.0))
     ),
-    "ResolutionCheck": lambda: vj.ResolutionCheck(
+    "ResolutionCheck": lambda: vj.resolution.ResolutionCheck(
         {"fold": np.array(1.2)}, {"one more mode": {"fold": np.array(0.01)}}, {}
     ),
 }

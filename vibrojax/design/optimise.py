@@ -20,6 +20,7 @@ from vibrojax.design.constraints import (
 from vibrojax.design.evaluation import AbstractEvaluator
 from vibrojax.design.optimum import Neighbour, Optimum, allowed, ends_of, held_by, history_of
 from vibrojax.design.rig_functions import range_of, rig_functions
+from vibrojax.design.robust import Robust
 from vibrojax.design.settings import OptimiseSettings
 from vibrojax.design.side_by_side import End, search_side_by_side
 from vibrojax.design.trials import NEIGHBOURS, Trial, Trials, screen, starts_for
@@ -48,7 +49,7 @@ def optimise(
     frequency: Range | None = None,
     maximise: bool = False,
     logarithmic: Sequence[str] | None = None,
-    robust: Any = None,
+    robust: Robust | None = None,
     settings: OptimiseSettings | None = None,
     **numbers: Any,
 ) -> Optimum:

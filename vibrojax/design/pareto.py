@@ -14,6 +14,7 @@ from vibrojax.design.evaluation import AbstractEvaluator
 from vibrojax.design.optimise import screened_goal, worse_side
 from vibrojax.design.outputs import output_dataset
 from vibrojax.design.rig_functions import range_of, rig_functions
+from vibrojax.design.robust import Robust
 from vibrojax.design.settings import OptimiseSettings
 from vibrojax.design.side_by_side import End, search_side_by_side
 from vibrojax.design.trials import Trial, Trials, starts_for
@@ -129,7 +130,7 @@ def pareto(
     maximise: Sequence[str] = (),
     points: int = 9,
     logarithmic: Sequence[str] | None = None,
-    robust: Any = None,
+    robust: Robust | None = None,
     settings: OptimiseSettings | None = None,
     **numbers: Any,
 ) -> ParetoFront:

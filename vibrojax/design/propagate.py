@@ -20,9 +20,10 @@ from vibrojax.design.distributions import (
 from vibrojax.design.evaluation import AbstractEvaluator, Evaluation
 from vibrojax.design.propagation import Propagation
 from vibrojax.design.quasi_random import sobol_sequence
+from vibrojax.design.rig_evaluator import RigEvaluator
+from vibrojax.design.rig_functions import range_of
 from vibrojax.design.sobol_indices import salib, sobol_indices, sobol_probabilities
 from vibrojax.ensemble.arguments import arguments_of
-from vibrojax.ensemble.frequencies import check_drive
 from vibrojax.ensemble.progress import progress_bar
 from vibrojax.ensemble.ranges import Range
 from vibrojax.model.systems import AbstractSystem
@@ -124,9 +125,6 @@ def propagate(
     axis, along = range_of(frequency_ratio, frequency)
     samples, design = _places(uncertain, how)
     sample = check_rigs(make_system, uncertain, np.concatenate([samples, design]), fixed)
-    check_drive(sample)
-    from vibrojax.design.rig_evaluator import RigEvaluator  # pyright: ignore[reportMissingImports]
-
     evaluator = RigEvaluator(
         make_system,
         measures,
@@ -136,6 +134,7 @@ def propagate(
         settings=how.continuation or ContinuationSettings(),
         numbers=fixed,
     )
+    evaluator.check(uncertain.means.tolist())
     return propagated(evaluator, uncertain, how, ratio_units=sample.drive.reference[1])
 
 
@@ -151,23 +150,6 @@ def _fixed(
             "Call propagate once for each."
         )
     return {name: value for name, value in named.fixed.items() if name in numbers}
-
-
-def range_of(frequency_ratio: Range | None, frequency: Range | None) -> tuple[str, Range]:
-    """Return the name of the frequency that was given and its range.
-
-    Raises `ValueError` unless one of the two is given, above 0.
-    """
-    given = {"frequency_ratio": frequency_ratio, "frequency": frequency}
-    found = [(name, one) for name, one in given.items() if one is not None]
-    if len(found) != 1:
-        raise ValueError(
-            "Give frequency_ratio or frequency, one of the two, as vj.Range(low, high)."
-        )
-    ((name, along),) = found
-    if along.low <= 0:
-        raise ValueError(f"{name} must be above 0, got {along!r}. Begin it higher.")
-    return name, along
 
 
 def _places(

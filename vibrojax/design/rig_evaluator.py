@@ -71,6 +71,11 @@ class RigEvaluator(AbstractEvaluator):
         check_continued(system)
         return system
 
+    def response(self, place: Float[np.ndarray, " numbers"]) -> Response:
+        """Follow the branch of one rig."""
+        (found,) = self.responses(np.asarray(place, float)[None])
+        return found
+
     def responses(self, places: Float[np.ndarray, "rigs numbers"]) -> list[Response]:
         """Follow the branches of some rigs, side by side."""
         found: list[Response] = []

@@ -3,6 +3,7 @@
 from vibrojax.model.drives import AbstractDrive as AbstractDrive
 from vibrojax.model.drives import AbstractSignal as AbstractSignal
 from vibrojax.model.drives import AbstractWaveform as AbstractWaveform
+from vibrojax.model.elastic_pendulum import Limiters as Limiters
 from vibrojax.model.equations import AbstractEquations as AbstractEquations
 from vibrojax.model.equations import LinearEquations as LinearEquations
 from vibrojax.model.finite_elements import FiniteElements as FiniteElements
