@@ -74,18 +74,32 @@ class Branch(BranchPoints, AbstractSaved):
 
     @validated
     def plot(
-        self, variable: str = "amplitude_ratio", *, sweep: FrequencyResponse | None = None
+        self,
+        variable: str = "amplitude_ratio",
+        *,
+        sweep: FrequencyResponse | None = None,
+        band: "xarray.Dataset | None" = None,
     ) -> "Figure":
         """Draw one variable against the parameter: stable solid, unstable dashed, points marked.
 
-        Isolas that were found are drawn too. `sweep`, a `FrequencyResponse`, is laid over it.
-        Raises `ValueError` for an unknown variable.
+        Isolas that were found are drawn too. `sweep`, a `FrequencyResponse`, is laid over it; with
+        `band`, of `vj.design.band`, what tolerances may make of the curve is shaded. Raises
+        `ValueError` for an unknown variable, or a band along another number or without it.
         """
-        return _picture([self, *map(Branch.of, self.isolas)], variable, sweep)
+        if band is not None and (
+            band.attrs.get("axis") != self.axis or f"{variable}_change" not in band
+        ):
+            raise ValueError(
+                f"band must be one of vj.design.band along {self.axis} that has {variable}."
+            )
+        return _picture([self, *map(Branch.of, self.isolas)], variable, sweep, band)
 
 
 def _picture(
-    branches: Sequence[Branch], variable: str, sweep: FrequencyResponse | None = None
+    branches: Sequence[Branch],
+    variable: str,
+    sweep: FrequencyResponse | None = None,
+    band: "xarray.Dataset | None" = None,
 ) -> "Figure":
     known = (*CURVES, *branches[0].derived)
     if variable not in known:
@@ -100,7 +114,7 @@ def _picture(
         raise ValueError("sweep must be of one system: pick one value of every axis.")
     from vibrojax.plot.branches import plot_branches
 
-    return plot_branches(drawn, variable, laid)
+    return plot_branches(drawn, variable, laid, band)
 
 
 class Branches(eqx.Module):

@@ -12,3 +12,4 @@ from vibrojax.design.robust import Robust as Robust
 from vibrojax.design.robust import Tolerance as Tolerance
 from vibrojax.design.settings import OptimiseSettings as OptimiseSettings
 from vibrojax.design.sobol_indices import SobolIndices as SobolIndices
+from vibrojax.design.tolerance_band import band as band

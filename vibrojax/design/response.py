@@ -54,6 +54,8 @@ class Response:
 
     branch: Branch
     """The periodic responses, stable and unstable, all points exact."""
+    known: KnownBranch
+    """The same, as what measures its motions."""
 
     def __init__(
         self,
@@ -63,7 +65,7 @@ class Response:
         natural: tuple[float, np.ndarray],
         moved: Any = None,
     ):
-        self.branch, self._known, self._values, self._natural = (
+        self.branch, self.known, self._values, self._natural = (
             branch,
             known,
             dict(numbers),
@@ -75,11 +77,11 @@ class Response:
 
     def ask_of(self, ask: Ask) -> None:
         """Let somebody else compute what is asked from now on, together with other things."""
-        self._known.ask = ask
+        self.known.ask = ask
 
     def _with(self, moved: Any) -> "Response":
         """The same response, its numbers moved by what JAX is tracing."""
-        other = Response(self.branch, self._known, self._values, self._natural, moved)
+        other = Response(self.branch, self.known, self._values, self._natural, moved)
         other._done = self._done
         other.__dict__["_stable"] = self._stable
         return other
@@ -217,7 +219,7 @@ class Response:
         """
         if "hysteresis" not in self._done:
             spans = measures.covered(list(map(measures.span_of, self._stable)), least=2)
-            self._done["hysteresis"] = measures.length(spans, self._known)
+            self._done["hysteresis"] = measures.length(spans, self.known)
         return self._give(self._done["hysteresis"])
 
     @validated(traceable=True)
@@ -233,17 +235,17 @@ class Response:
         key = "bandwidth", variable, at, upper
         if key not in self._done:
             over = [span for p in self._stable for span in measures.above(p, own, at)]
-            total = measures.length(measures.covered(over), self._known)
+            total = measures.length(measures.covered(over), self.known)
             if not upper:
                 # Where a stable motion exists that is not above does not count.
                 every = list(map(measures.span_of, self._stable))
                 depth = max(len(every), 1)
-                total = measures.still(0.0, self._known)
+                total = measures.still(0.0, self.known)
                 for least in range(1, depth + 1):
                     both = _both(measures.covered(every, least), measures.covered(over, least))
                     higher = measures.covered(every, least + 1)
-                    alone = measures.length(both, self._known)
-                    twice = measures.length(_both(both, higher), self._known)
+                    alone = measures.length(both, self.known)
+                    twice = measures.length(_both(both, higher), self.known)
                     total = Dual(
                         total.value + alone.value - twice.value,
                         total.slopes + alone.slopes - twice.slopes,
@@ -303,11 +305,11 @@ class Response:
 
     @cached_property
     def _stable(self) -> list[Piece]:
-        return pieces_of(self._known)
+        return pieces_of(self.known)
 
     @cached_property
     def _every(self) -> list[Piece]:
-        return pieces_of(self._known, stable=False)
+        return pieces_of(self.known, stable=False)
 
     def _variable(self, name: str) -> Variable:
         return variable_of(name, self.branch.ratio_units)
@@ -319,13 +321,13 @@ class Response:
         return self._done[key]  # pyright: ignore
 
     def _fold(self, number: int) -> Node:
-        folds: list[Knot] = [k for k in knots_of(self._known) if k.kind in TURNS]
+        folds: list[Knot] = [k for k in knots_of(self.known) if k.kind in TURNS]
         folds.sort(key=lambda knot: knot.motion.parameter)
         if not -len(folds) <= number < len(folds):
             raise NoSuchPlace(f"The branch has {len(folds)} folds: there is no number {number}.")
         key = "fold", number % len(folds)
         if key not in self._done:
-            self._done[key] = node_of(self._known, folds[number])  # pyright: ignore
+            self._done[key] = node_of(self.known, folds[number])  # pyright: ignore
         return self._done[key]  # pyright: ignore
 
     def _band(self, low: float | None, high: float | None) -> tuple[float, float]:

@@ -7,6 +7,7 @@ import numpy as np
 import xarray
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 
 from vibrojax.plot.style import (
     COLORS,
@@ -27,19 +28,26 @@ MARKS = {
     "neimark_sacker": ("^", "Neimark-Sacker"),
     "grazing": ("|", "first touch"),
 }
+APART = 0.01
+"""Least distance of points whose band is shaded, over the size of the picture."""
 MOST = 10
 """Branches that the legend names."""
 FOLDS: dict[str, Any] = {"color": COLORS["red"], "linestyle": ":", "linewidth": 1.8}
 
 
 def plot_branches(
-    branches: Sequence[xarray.Dataset], variable: str, sweep: xarray.Dataset | None = None
+    branches: Sequence[xarray.Dataset],
+    variable: str,
+    sweep: xarray.Dataset | None = None,
+    band: xarray.Dataset | None = None,
 ) -> Figure:
     """Draw one variable of some branches: stable solid, unstable dashed, special points marked.
 
-    `sweep` is laid over them: the dataset of one system.
+    `sweep` is laid over them: the dataset of one system. `band` is what tolerances may make of it.
     """
     _, axes = new_picture()
+    if band is not None:
+        _shade_band(axes, band, variable)
     first = branches[0]
     axis = str(first.attrs["axis"])
     several = len(branches) > 1
@@ -64,6 +72,31 @@ def plot_branches(
     else:
         axes.axhline(1.0, color=GREY, linewidth=0.8)
     return finish(axes, label_for(first[axis]), label_for(first[variable]))
+
+
+def _shade_band(axes: Axes, band: xarray.Dataset, variable: str) -> None:
+    """Shade how far the curve may lie from where it is, all tolerances to the worse side."""
+    curve = np.array([band[str(band.attrs["axis"])].values, band[variable].values])
+    moves = np.array([band["frequency_change"].values, band[f"{variable}_change"].values])
+    size = np.ptp(curve, axis=1)
+    size = np.where(size > 0, size, 1.0)[:, None]
+    # Points that are apart in the picture: wiggles too small to be seen have any direction.
+    kept = [0]
+    for k in range(1, curve.shape[1]):
+        if np.linalg.norm((curve[:, k] - curve[:, kept[-1]]) / size[:, 0]) >= APART:
+            kept.append(k)
+    curve, moves = curve[:, kept], moves[..., kept]
+    # Across the curve as it is seen: along it nothing is seen to move.
+    along = np.gradient(curve / size, axis=1)
+    along = along / np.linalg.norm(along, axis=0)
+    across = np.array([-along[1], along[0]])
+    far = np.sum(np.abs(np.einsum("cp,cnp->np", across, moves / size[:, None])), axis=0)
+    far = np.median([far, np.roll(far, 1), np.roll(far, -1)], axis=0)
+    aside = size * across * far
+    outline = np.concatenate([(curve + aside).T, (curve - aside).T[::-1]])
+    words = f"{band.attrs['tolerances']} (first order)"
+    shade = {"facecolor": COLORS["blue"], "alpha": 0.2, "linewidth": 0, "zorder": 1}
+    axes.add_patch(Polygon(outline, closed=True, label=words, **shade))
 
 
 def _heights(branch: xarray.Dataset, kind: str, axis: str, variable: str) -> np.ndarray:

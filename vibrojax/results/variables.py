@@ -18,6 +18,7 @@ VARIABLES = {
     "first_harmonic_ratio": Variable("ratio", "First harmonic amplitude of the tip over drive"),
     "contact_force": Variable("N", "Largest contact force"),
     "contact_fraction": Variable("1", "Share of the time in contact"),
+    "impulse": Variable("N s", "Impulse of all contacts in a drive period"),
     "contacts_per_period": Variable("1", "Contacts per drive period"),
     "gap_ratio": Variable("ratio", "Gap over drive amplitude"),
     "touch_gap_ratio": Variable("ratio", "Gap over drive amplitude at which the beam just touches"),
