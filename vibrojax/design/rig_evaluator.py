@@ -27,6 +27,7 @@ from vibrojax.ensemble.slopes import systems_with_slopes
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.steady.batches import filled_up
 from vibrojax.stepping.choice import is_exact
+from vibrojax.stepping.contact_phases import can_resonate, phases_of
 
 WIDTHS = 1, 8, 64
 """Rigs made and followed together: the least of these that holds them all."""
@@ -69,6 +70,12 @@ class RigEvaluator(AbstractEvaluator):
                 "StandardLinearSolid, MaxwellChain): the derivatives are those of exact motions."
             )
         check_continued(system)
+        linear = system.equations().linear_between_contacts
+        if linear is not None and can_resonate(phases_of(linear)):
+            raise ValueError(
+                "Designs need damping in every mode: without, the response has no bound at "
+                "resonance. Give the system a damping_ratio above 0."
+            )
         return system
 
     def response(self, place: Float[np.ndarray, " numbers"]) -> Response:

@@ -1,15 +1,12 @@
 """Searches of scipy, side by side: what all of them ask for is evaluated as one batch.
 
 Each search is a thread that minimises by `scipy.optimize.minimize` and stops wherever it asks for a
-design. The thread of the caller waits until all of them ask (or have ended), has the designs
-evaluated together, and answers. So an interrupt, or an error of the evaluation, comes to the
-caller, which tells the searches to end: each returns the best that it has come to.
+design (`_tools/gathered.py`). An interrupt, or an error of the evaluation, comes to the caller; the
+searches hear of it, and each returns the best that it has come to.
 """
 
-import queue
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, NamedTuple
@@ -18,6 +15,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from vibrojax._tools.gathered import Stopped, gathered
 from vibrojax.design.constraints import Goal
 from vibrojax.design.trials import Trial, Trials
 
@@ -257,49 +255,26 @@ def search_side_by_side(
     `most` is the number of designs that each may try. After Ctrl-C, those that had not ended have
     the status `interrupted`. What the evaluator raises is raised, when all searches have ended.
     """
-    asked: queue.SimpleQueue[tuple[int, np.ndarray] | None] = queue.SimpleQueue()
-    answers = [queue.SimpleQueue() for _ in starts]
+    ends: dict[int, End] = {}
 
-    def run(k: int) -> End:
-        def ask(place: np.ndarray) -> Trial | None:
-            asked.put((k, place))
-            return answers[k].get()
+    def run(k: int, ask: Callable[[np.ndarray], Trial]) -> None:
+        def tried(place: np.ndarray) -> Trial | None:
+            try:
+                return ask(place)
+            except Stopped:
+                return None
 
-        return _Search(first + k, goals[k], starts[k], ask, method, most).run()
+        ends[k] = _Search(first + k, goals[k], starts[k], tried, method, most).run()
 
-    with _without_advice_of_scipy(), ThreadPoolExecutor(max(len(starts), 1)) as pool:
-        searches: list[Future[End]] = []
-        waiting: dict[int, np.ndarray] = {}
-        try:
-            for k in range(len(starts)):
-                searches.append(pool.submit(run, k))
-                searches[k].add_done_callback(lambda _: asked.put(None))
-            running = len(searches)
-            while running:
-                message = _next(asked)
-                if message is None:
-                    running -= 1
-                else:
-                    waiting[message[0]] = message[1]
-                if waiting and len(waiting) == running:
-                    places = np.array(list(waiting.values()))
-                    found = trials.evaluate(places, [first + k for k in waiting])
-                    for k, trial in zip(waiting, found, strict=True):
-                        answers[k].put(trial)
-                    waiting = {}
-        except KeyboardInterrupt:
-            pass  # the searches hear of it, and say so
-        finally:
-            for answer in answers:
-                answer.put(None)  # to whoever asks, or will ask
-    return [search.result() for search in searches]
+    def answer(asked: dict[int, np.ndarray]) -> dict[int, Trial]:
+        found = trials.evaluate(np.array(list(asked.values())), [first + k for k in asked])
+        return dict(zip(asked, found, strict=True))
 
-
-def _next(asked: "queue.SimpleQueue[Any]") -> Any:
-    while True:
-        # Not without end: on Windows nothing interrupts that.
-        with suppress(queue.Empty):
-            return asked.get(timeout=0.2)
+    with _without_advice_of_scipy(), suppress(KeyboardInterrupt):
+        # After an interrupt the searches say what they have come to.
+        for search in gathered([partial(run, k) for k in range(len(starts))], answer):
+            search.result()
+    return [ends[k] for k in range(len(starts))]
 
 
 @contextmanager
