@@ -577,6 +577,7 @@ def add_methods():
     closed = vj.single_contact_response(RIG, frequency_ratio=[1.0, 1.1])
     fit = vj.identify(rig, MEASURED, guess={"stiffness": 5e3}, gap=4e-4, searches=1)
     explorer = vj.explore(rig, gap=vj.Range(3e-4, 5e-4), stiffness=5500.0)
+    response = vj.design.respond(rig, gap=4e-4, frequency_ratio=vj.Range(1.05, 1.1))
     spectrum, cycles = history.spectrum(), history.cycles()
     methods = {
         "History": (history, "displacement velocity acceleration spectrum cycles poincare peak"),
@@ -595,6 +596,7 @@ def add_methods():
         "SingleContactResponse": (closed, "folds plot"),
         "Identification": (fit, "residuals system branch plot"),
         "Explorer": (explorer, "figure"),
+        "Response": (response, "peak peak_frequency resonance_shift area mean"),
         "ElasticPendulum": (pendulum, "natural_frequencies linearised"),
     }
     for owner, (result, names) in methods.items():
@@ -615,6 +617,10 @@ def add_methods():
     CALLS["Histories.at"] = histories.at, dict(gap=1e-4)
     CALLS["Spectrum.up_to"] = spectrum.up_to, dict(span=50.0)
     CALLS["Cycles.statistics"] = cycles.statistics, dict(edges=[10.0, 30.0])
+    CALLS["Response.slopes"] = response.slopes, dict(function=peak)
+    CALLS["Response.bandwidth"] = response.bandwidth, dict(level=10.0)
+    CALLS["Response.at"] = response.at, dict(variable="peak_ratio", frequency=1.07)
+    CALLS["Response.fold_height"] = response.fold_height, dict(number=0)
     CALLS["Branch.resample"] = branch.resample, dict(values=[1.06, 1.07])
 
 

@@ -50,6 +50,9 @@ class Response:
     Where the branch changes its shape as the rig changes (folds appear, a second contact begins), a
     measure is that of the branch as it is, and its derivative that of the same shape: `shape` says
     which.
+
+    Made by `vj.design.respond`, from its `branch`, the `numbers` of the rig, its `natural` frequency
+    (Hz) with derivatives, and, while JAX differentiates, by how much the numbers are `moved`.
     """
 
     branch: Branch
@@ -76,7 +79,7 @@ class Response:
         self._done: dict[Any, Dual] = {}
 
     def ask_of(self, ask: Ask) -> None:
-        """Let somebody else compute what is asked from now on, together with other things."""
+        """Let `ask` compute what is asked from now on, together with what others ask for."""
         self.known.ask = ask
 
     def _with(self, moved: Any) -> "Response":
@@ -100,7 +103,10 @@ class Response:
     def differentiate(
         self, function: Callable[["Response"], Any]
     ) -> tuple[float, Float[np.ndarray, " numbers"]]:
-        """Return the value of a function of this response, and its derivatives in order."""
+        """Return the value of a function of this response, and its derivatives in order.
+
+        Raises `ValueError` as `slopes` does.
+        """
         name = getattr(function, "__name__", repr(function))
 
         def of(moved: Any) -> Any:
