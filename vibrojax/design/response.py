@@ -51,8 +51,9 @@ class Response:
     measure is that of the branch as it is, and its derivative that of the same shape: `shape` says
     which.
 
-    Made by `vj.design.respond`, from its `branch`, the `numbers` of the rig, its `natural` frequency
-    (Hz) with derivatives, and, while JAX differentiates, by how much the numbers are `moved`.
+    Made by `vj.design.respond`, from its `branch`, the `numbers` of the rig, its `natural`
+    frequency (Hz) with derivatives, and, while JAX differentiates, by how much the numbers are
+    `moved`.
     """
 
     branch: Branch
