@@ -423,7 +423,8 @@ NUMBERS = words(
 """What a system is made of: 0 may do, batches and traced values are legal."""
 FLAGS = words(
     "tension proportional lyapunov strobes is_ratio align_phase settled progress spectrum "
-    "distinguish_phases keep_curves dry_run skip_unusable static_correction maximise relative"
+    "distinguish_phases keep_curves dry_run skip_unusable static_correction maximise relative "
+    "stable"
 )
 MAKERS = {n for n, (function, _) in CALLS.items() if inspect.isclass(function)}
 MAKERS |= {"default_rig", "default_pendulum", "bimorph"}
@@ -617,10 +618,6 @@ def add_methods():
     CALLS["Histories.at"] = histories.at, dict(gap=1e-4)
     CALLS["Spectrum.up_to"] = spectrum.up_to, dict(span=50.0)
     CALLS["Cycles.statistics"] = cycles.statistics, dict(edges=[10.0, 30.0])
-    CALLS["Response.slopes"] = response.slopes, dict(function=peak)
-    CALLS["Response.bandwidth"] = response.bandwidth, dict(level=10.0)
-    CALLS["Response.at"] = response.at, dict(variable="peak_ratio", frequency=1.07)
-    CALLS["Response.fold_height"] = response.fold_height, dict(number=0)
     CALLS["Branch.resample"] = branch.resample, dict(values=[1.06, 1.07])
 
 

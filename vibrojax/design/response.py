@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from vibrojax._tools.checks import check_range
 from vibrojax._tools.described import in_short
+from vibrojax._tools.kinds import is_number
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.points import TURNS
@@ -194,7 +195,7 @@ class Response:
         `frequency` is in the unit of the frequency axis. Raises `ValueError` for an unknown
         variable, or where no stable motion is.
         """
-        own, at, upper = self._variable(variable), _plain(frequency), _is_upper(of)
+        own, at, upper = self._variable(variable), _plain("frequency", frequency), _is_upper(of)
         key = "at", variable, at, upper
         if key not in self._done:
             self._done[key] = measures.at_frequency(self._stable, own, at, upper)
@@ -238,7 +239,7 @@ class Response:
         On the `upper` stable part it counts where one of the stable motions is above, on the
         `lower` where all are. Raises `ValueError` for an unknown variable.
         """
-        own, at, upper = self._variable(variable), _plain(level), _is_upper(of)
+        own, at, upper = self._variable(variable), _plain("level", level), _is_upper(of)
         key = "bandwidth", variable, at, upper
         if key not in self._done:
             over = [span for p in self._stable for span in measures.above(p, own, at)]
@@ -363,8 +364,10 @@ def _both(a: list[Any], b: list[Any]) -> list[Any]:
     return measures.covered([*a, *b], least=2)
 
 
-def _plain(number: Any) -> float:
-    """The value of what JAX may be differentiating."""
+def _plain(name: str, number: Any) -> float:
+    """The value of what JAX may be differentiating. Raises `ValueError` for what is no number."""
+    if not (is_number(number) or (isinstance(number, jax.Array) and np.shape(number) == ())):
+        raise ValueError(f"{name} must be a finite number, got {in_short(number)}.")
     return float(jax.lax.stop_gradient(number))
 
 
