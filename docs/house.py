@@ -12,7 +12,6 @@ FLOORS = (
     {"cli": "commands", "explorer": "sliders"},
     {"design": "which rig is best"},
     {
-        "design": "the rig wanted",
         "resolution": "how fine is enough",
         "maps": "over many numbers",
         "identification": "from measurements",

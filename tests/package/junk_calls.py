@@ -19,6 +19,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import scipy.stats
 import xarray
 
 import vibrojax as vj
@@ -47,6 +48,10 @@ ENGINES = {
     "vibrojax.regime.lyapunov": ["_exponent"],
     "vibrojax.branches.folds": ["_search"],
     "vibrojax.explorer.explore": ["Explorer"],
+    "vibrojax.design.optimise": ["search_design"],
+    "vibrojax.design.pareto": ["search_front"],
+    "vibrojax.design.propagate": ["propagated"],
+    "vibrojax.design.rig_evaluator": ["follow_branches"],
 }
 
 
@@ -111,6 +116,14 @@ RECORD = vj.io.MeasuredHistory(
 
 def by_law(law, mass):
     return vj.model.Oscillator(mass, stops=(vj.Stop(None, 0.0, law),))
+
+
+def peak(response):
+    return response.peak()
+
+
+DESIGNS = dict(variables={"gap": (1e-4, 1e-3)}, frequency_ratio=vj.Range(0.9, 1.1), stiffness=5e3)
+TOLERANCES = {"gap": vj.design.Tolerance(2e-5)}
 
 
 CALLS = {
@@ -289,6 +302,39 @@ CALLS = {
         vj.compare_laws,
         dict(make_system=by_law, measured=RECORD, laws=["hertz", "no_tension"], mass=0.5),
     ),
+    "optimise": (vj.optimise, dict(make_system=rig, objective=peak, **DESIGNS)),
+    "design.pareto": (
+        vj.design.pareto,
+        dict(make_system=rig, objectives={"peak": peak, "other": peak}, **DESIGNS),
+    ),
+    "propagate": (
+        vj.propagate,
+        dict(
+            make_system=rig,
+            distributions={"gap": scipy.stats.norm(4e-4, 1e-5)},
+            measures={"peak": peak},
+            frequency_ratio=vj.Range(0.9, 1.1),
+            stiffness=5e3,
+        ),
+    ),
+    "design.respond": (
+        vj.design.respond,
+        dict(make_system=rig, frequency_ratio=vj.Range(0.9, 1.1), gap=1e-4),
+    ),
+    "design.band": (
+        vj.design.band,
+        dict(
+            make_system=rig,
+            tolerances=TOLERANCES,
+            frequency_ratio=vj.Range(0.9, 1.1),
+            stiffness=5e3,
+        ),
+    ),
+    "design.OptimiseSettings": (vj.design.OptimiseSettings, {}),
+    "design.PropagationSettings": (vj.design.PropagationSettings, {}),
+    "design.Constraint": (vj.design.Constraint, dict(function=peak, most=1.0)),
+    "design.Tolerance": (vj.design.Tolerance, dict(width=1e-5)),
+    "design.Robust": (vj.design.Robust, dict(tolerances=TOLERANCES)),
     "check_resolution": (vj.check_resolution, dict(study=reached, system=RIG)),
     "zipped": (vj.zipped, dict(gap=[1.0, 2.0], taper=[0.0, 0.1])),
     "plot_map": (vj.plot_map, dict(dataset=MAP)),
@@ -377,7 +423,8 @@ NUMBERS = words(
 """What a system is made of: 0 may do, batches and traced values are legal."""
 FLAGS = words(
     "tension proportional lyapunov strobes is_ratio align_phase settled progress spectrum "
-    "distinguish_phases keep_curves dry_run skip_unusable static_correction"
+    "distinguish_phases keep_curves dry_run skip_unusable static_correction maximise relative "
+    "stable"
 )
 MAKERS = {n for n, (function, _) in CALLS.items() if inspect.isclass(function)}
 MAKERS |= {"default_rig", "default_pendulum", "bimorph"}
@@ -398,16 +445,16 @@ LEGAL = {
     "dict": words("parameters share_of"),
     "empty list": words(
         "gradients private split observables notes point_masses stops measures s orders share_of "
-        "direction lines gap_ratios index"
+        "direction lines gap_ratios index constraints logarithmic maximise"
     ),
     "list of text": words("observables notes"),
     "empty array": words(
-        "point_masses stops direction lines measures s orders share_of gap_ratios index"
+        "point_masses stops direction lines measures s orders share_of gap_ratios index constraints"
     ),
     "text": words("label store path"),
     "empty text": words("label frame quantity"),
-    "class": words("search measures"),
-    "lambda": words("search stepper"),
+    "class": words("search measures objective function"),
+    "lambda": words("search stepper objective function"),
     "path": words("store path"),
     "waveform": words("waveform"),
     "matrix": words("s"),
@@ -438,6 +485,10 @@ def legal(name, argument, junk):
         return True
     if "." in name and argument in OF_METHODS:
         return junk in ("0", "-1", "large integer", "tracer", "list of one")
+    if name == "design.Constraint" and argument in ("least", "most"):
+        return junk in ("0", "-1", "large integer")
+    if name == "design.Constraint" and argument == "name":
+        return junk in ("text", "empty text")
     if name in MAKERS and argument in NUMBERS:
         return junk in ("0", "matrix", "tracer", "large integer") or argument in LEGAL.get(junk, ())
     if junk == "tracer" and name.split(" by ")[0] not in TRACEABLE:
@@ -527,6 +578,7 @@ def add_methods():
     closed = vj.single_contact_response(RIG, frequency_ratio=[1.0, 1.1])
     fit = vj.identify(rig, MEASURED, guess={"stiffness": 5e3}, gap=4e-4, searches=1)
     explorer = vj.explore(rig, gap=vj.Range(3e-4, 5e-4), stiffness=5500.0)
+    response = vj.design.respond(rig, gap=4e-4, frequency_ratio=vj.Range(1.05, 1.1))
     spectrum, cycles = history.spectrum(), history.cycles()
     methods = {
         "History": (history, "displacement velocity acceleration spectrum cycles poincare peak"),
@@ -545,6 +597,7 @@ def add_methods():
         "SingleContactResponse": (closed, "folds plot"),
         "Identification": (fit, "residuals system branch plot"),
         "Explorer": (explorer, "figure"),
+        "Response": (response, "peak peak_frequency resonance_shift area mean"),
         "ElasticPendulum": (pendulum, "natural_frequencies linearised"),
     }
     for owner, (result, names) in methods.items():

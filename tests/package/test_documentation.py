@@ -103,6 +103,17 @@ def check_harvesters(names):
     assert len(names["history"].contacts()) > 2
 
 
+def check_design(names):
+    best, sure, front = names["best"], names["sure"], names["front"]
+    assert best.status == "converged"
+    assert best.constraints["contact_force"] == pytest.approx(1.0, abs=1e-4)
+    assert best.value > 0.08
+    assert 0.06 < sure.value < best.value  # what the tolerances cost
+    assert "nearly linear" in names["scatter"].findings["contact_force"]
+    assert len(front.values) == 4
+    assert (np.diff(front.values, axis=0) < 0).all()  # narrower, and softer
+
+
 def check_regimes(names):
     assert names["found"].period.tolist() == [[0, 3, 0], [0, 3, 0]]
     assert names["exponent"].exponent > 3.0
@@ -118,6 +129,7 @@ CHECKS = {
     "docs/how_to/histories.md": check_histories,
     "docs/how_to/own_system.md": check_own_system,
     "docs/how_to/harvesters.md": check_harvesters,
+    "docs/how_to/design.md": check_design,
     "docs/how_to/regimes.md": check_regimes,
 }
 

@@ -52,6 +52,8 @@ PARTS = {
     "ContinuationSettings": (vj.ContinuationSettings(), "max_points=5000"),
     "RegimeSettings": (vj.RegimeSettings(), "transient=200"),
     "BasinSettings": (vj.BasinSettings(), "period_tolerance=0.01"),
+    "OptimiseSettings": (vj.design.OptimiseSettings(), "starts=4"),
+    "PropagationSettings": (vj.design.PropagationSettings(), "samples=64"),
     "LinearEquations": (oscillator().equations(), "coordinates: 1", "rad/s"),
     "MatrixModes": (oscillator().modes(), "rad/s"),
     "LevenbergMarquardt": (vj.identification.LevenbergMarquardt(), "most_steps=60"),
@@ -130,7 +132,26 @@ def fold_curve_by_hand():
     )
 
 
+def propagation_by_hand():
+    gap = np.linspace(2.6e-4, 3.4e-4, 16)
+    return vj.design.Propagation(
+        measures=("contact_force",),
+        numbers=("gap",),
+        means=np.array([3e-4]),
+        deviations=np.array([2e-5]),
+        value=np.array([1.0]),
+        gradient=np.array([[-3e3]]),
+        note="",
+        samples=gap[:, None],
+        values=1.9 - 3e3 * gap[:, None],
+        notes=("",) * 16,
+        sobol=None,
+        evaluations=17,
+    )
+
+
 QUICK = {
+    "Propagation": propagation_by_hand,
     "Modes": lambda: vj.modes(vj.default_rig().beam),
     "Contacts": contacts_by_hand,
     "EnergyFlow": energy_by_hand,

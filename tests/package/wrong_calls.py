@@ -23,6 +23,11 @@ def own_rig(gap, stiffness):
     return vj.default_rig(gap=gap, stiffness=stiffness)
 
 
+def peak(response):
+    return response.peak()
+
+
+BAND = vj.Range(0.9, 1.3)
 CALLS = {
     "length must be a number": lambda: vj.Cantilever("0.2", 0.025, 1e-3, 130e9, 8250.0),
     "law must be a contact law": lambda: vj.Stop(0.5, 1e-3, 5500.0),
@@ -142,6 +147,39 @@ CALLS = {
     "This study cannot be traced by JAX": lambda: jax.grad(
         lambda gap: vj.frequency_sweep(lambda: vj.default_rig(gap=gap), **AT)
     )(1e-3),
+    "variables['gap'] must be a low bound and a higher one": lambda: vj.optimise(
+        own_rig, peak, variables={"gap": (1e-3, 1e-4)}, stiffness=5e3, frequency_ratio=BAND
+    ),
+    "in variables. Did you mean 'gap'": lambda: vj.optimise(
+        own_rig, peak, variables={"gpa": (1e-4, 1e-3)}, stiffness=5e3, frequency_ratio=BAND
+    ),
+    "constraints[0] must be a Constraint": lambda: vj.optimise(
+        own_rig,
+        peak,
+        variables={"gap": (1e-4, 1e-3)},
+        constraints=[peak],
+        stiffness=5e3,
+        frequency_ratio=BAND,
+    ),
+    "Designs need stops that are linear": lambda: vj.optimise(
+        lambda gap: vj.ImpactingBeam(
+            RIG.beam, vj.Stop(0.5, gap, vj.Hertz(1e6)), vj.BaseMotion(1e-4)
+        ),
+        peak,
+        variables={"gap": (1e-4, 1e-3)},
+        frequency_ratio=BAND,
+    ),
+    "Give at least one number of the rig by name": lambda: vj.design.respond(
+        vj.default_rig, frequency_ratio=BAND
+    ),
+    "distributions['gap'] must be a continuous distribution": lambda: vj.propagate(
+        own_rig, {"gap": 1e-4}, {"peak": peak}, stiffness=5e3, frequency_ratio=BAND
+    ),
+    "objectives must be two functions by name": lambda: vj.design.pareto(
+        own_rig, {"peak": peak}, variables={"gap": (1e-4, 1e-3)}, frequency_ratio=BAND
+    ),
+    "width must be below 1": lambda: vj.design.Tolerance(20.0, relative=True),
+    "A Constraint needs a bound": lambda: vj.design.Constraint(peak),
     "limiters must be Limiters, got 3.": lambda: vj.ElasticPendulum(
         0.2, 0.01, 1e-3, 3e8, 850.0, limiters=3
     ),

@@ -91,7 +91,9 @@ class Optimum(AbstractSaved):
     first: dict[str, float]
     """The design that the search began with."""
     first_value: float
+    """The objective there."""
     history: History
+    """Every design that was tried, in order."""
     ends: tuple[SearchEnd, ...]
     """Where each search ended."""
     status: str

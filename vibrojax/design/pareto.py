@@ -40,11 +40,13 @@ class ParetoFront(AbstractSaved):
     """Designs of which none is better in one objective without being worse in the other."""
 
     objectives: tuple[str, str]
+    """Names of both objectives."""
     maximise: tuple[str, ...]
     """Objectives of which the largest values are sought."""
     values: Float[np.ndarray, "points 2"]
     """Both objectives of every point, along the front."""
     designs: Float[np.ndarray, "points numbers"]
+    """Numbers of every point, in the order of `names`."""
     names: tuple[str, ...]
     """Names of the numbers of the designs."""
     constraints: dict[str, Float[np.ndarray, " points"]]
@@ -52,12 +54,15 @@ class ParetoFront(AbstractSaved):
     status: tuple[str, ...]
     """How the search for each point ended, as of `Optimum`."""
     bounds: Float[np.ndarray, "numbers 2"]
+    """Between which each number was varied."""
     logarithmic: Bool[np.ndarray, " numbers"]
+    """Whether it was varied by its logarithm."""
     tried: Float[np.ndarray, "evaluations 2"]
     """Both objectives of every design that was tried."""
     feasible: Bool[np.ndarray, " evaluations"]
     """Which of those meet the constraints."""
     sentence: str
+    """What was found, in words."""
 
     @property
     def evaluations(self) -> int:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from vibrojax._tools.checks import check_range
 from vibrojax._tools.described import in_short
+from vibrojax._tools.kinds import is_number
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.points import TURNS
@@ -50,6 +51,10 @@ class Response:
     Where the branch changes its shape as the rig changes (folds appear, a second contact begins), a
     measure is that of the branch as it is, and its derivative that of the same shape: `shape` says
     which.
+
+    Made by `vj.design.respond`, from its `branch`, the `numbers` of the rig, its `natural`
+    frequency (Hz) with derivatives, and, while JAX differentiates, by how much the numbers are
+    `moved`.
     """
 
     branch: Branch
@@ -76,7 +81,7 @@ class Response:
         self._done: dict[Any, Dual] = {}
 
     def ask_of(self, ask: Ask) -> None:
-        """Let somebody else compute what is asked from now on, together with other things."""
+        """Let `ask` compute what is asked from now on, together with what others ask for."""
         self.known.ask = ask
 
     def _with(self, moved: Any) -> "Response":
@@ -100,7 +105,10 @@ class Response:
     def differentiate(
         self, function: Callable[["Response"], Any]
     ) -> tuple[float, Float[np.ndarray, " numbers"]]:
-        """Return the value of a function of this response, and its derivatives in order."""
+        """Return the value of a function of this response, and its derivatives in order.
+
+        Raises `ValueError` as `slopes` does.
+        """
         name = getattr(function, "__name__", repr(function))
 
         def of(moved: Any) -> Any:
@@ -187,7 +195,7 @@ class Response:
         `frequency` is in the unit of the frequency axis. Raises `ValueError` for an unknown
         variable, or where no stable motion is.
         """
-        own, at, upper = self._variable(variable), _plain(frequency), _is_upper(of)
+        own, at, upper = self._variable(variable), _plain("frequency", frequency), _is_upper(of)
         key = "at", variable, at, upper
         if key not in self._done:
             self._done[key] = measures.at_frequency(self._stable, own, at, upper)
@@ -231,7 +239,7 @@ class Response:
         On the `upper` stable part it counts where one of the stable motions is above, on the
         `lower` where all are. Raises `ValueError` for an unknown variable.
         """
-        own, at, upper = self._variable(variable), _plain(level), _is_upper(of)
+        own, at, upper = self._variable(variable), _plain("level", level), _is_upper(of)
         key = "bandwidth", variable, at, upper
         if key not in self._done:
             over = [span for p in self._stable for span in measures.above(p, own, at)]
@@ -356,8 +364,10 @@ def _both(a: list[Any], b: list[Any]) -> list[Any]:
     return measures.covered([*a, *b], least=2)
 
 
-def _plain(number: Any) -> float:
-    """The value of what JAX may be differentiating."""
+def _plain(name: str, number: Any) -> float:
+    """The value of what JAX may be differentiating. Raises `ValueError` for what is no number."""
+    if not (is_number(number) or (isinstance(number, jax.Array) and np.shape(number) == ())):
+        raise ValueError(f"{name} must be a finite number, got {in_short(number)}.")
     return float(jax.lax.stop_gradient(number))
 
 

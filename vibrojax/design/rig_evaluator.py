@@ -91,7 +91,7 @@ class RigEvaluator(AbstractEvaluator):
         return found
 
     def _followed(self, places: np.ndarray) -> tuple[RigGroup, list[Response]]:
-        count = len(places)
+        count, sample = len(places), self.check(places[0])
         width = next(w for w in WIDTHS if w >= count)
         rows = np.asarray(places, float)[filled_up(count, width)]
         numbers = {n: np.full(width, v) for n, v in self.fixed.items()}
@@ -99,7 +99,6 @@ class RigEvaluator(AbstractEvaluator):
         made = systems_with_slopes(self.make, self.static, self.names, numbers)
         is_ratio = self.axis == "frequency_ratio"
         paths, slopes = jax.device_get(paths_with_slopes(*made, is_ratio))
-        sample = self.check(places[0])
         plan = self.settings.plan(
             sample,
             axis=self.axis,

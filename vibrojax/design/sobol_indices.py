@@ -21,9 +21,11 @@ class SobolIndices(eqx.Module):
     first: Float[np.ndarray, "measures numbers"]
     """Share of the variance that a number makes alone; 0 where a measure does not scatter."""
     first_confidence: Float[np.ndarray, "measures numbers"]
+    """Half width of the 95 % interval of `first`."""
     total: Float[np.ndarray, "measures numbers"]
     """Share of the variance that a number has a part in."""
     total_confidence: Float[np.ndarray, "measures numbers"]
+    """Half width of the 95 % interval of `total`."""
     base: Int[np.ndarray, " measures"]
     """Base samples with a value at every one of their rigs, which the indices are from."""
     asked: int = eqx.field(static=True)
