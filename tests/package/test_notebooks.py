@@ -12,6 +12,8 @@ import execute
 
 SOURCES = execute.sources()
 MOST_BYTES = 600_000
+LONG = {"11_design"}
+"""Notebooks that take minutes on small grids too, most of it compiling."""
 
 
 def by_name(path):
@@ -19,7 +21,11 @@ def by_name(path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("source", SOURCES, ids=by_name)
+@pytest.mark.parametrize(
+    "source",
+    [pytest.param(s, marks=pytest.mark.long) if s.stem in LONG else s for s in SOURCES],
+    ids=by_name,
+)
 def test_runs_on_small_grids(source):
     notebook = execute.execute(execute.with_small_grids(execute.read(source)))
     assert execute.complaints(notebook) == []
