@@ -1,64 +1,36 @@
-"""The measures of a response as its branch's points give them: what a map or a table would.
+"""The measures of a response as settled curves of a map give them.
 
-Good to about a thousandth, and without derivatives: for global searches, whose best rigs are then
-evaluated exactly.
+Good to the spacing of the frequencies, and without derivatives: for global searches, whose best
+rigs are then evaluated exactly.
 """
-
-import itertools
 
 import numpy as np
 
 
 class Coarse:
-    """Stands for a `Response` in an objective."""
+    """Stands for a `Response` in an objective: the higher of the curves of both directions."""
 
-    def __init__(self, branch):
-        self.branch = branch
-        x, stable = branch.values, branch.stable
-        rises = np.diff(x) > 0
-        self.parts = []
-        start = None
-        for k in range(len(x)):
-            goes_on = k + 1 < len(x) and stable[k] and stable[k + 1]
-            if start is not None and (not goes_on or rises[k] != rises[start]):
-                self.parts.append(np.arange(start, k + 1))
-                start = None
-            if goes_on and start is None:
-                start = k
+    def __init__(self, lane, axis):
+        self.frequency = lane[axis].values
+        self.lane = lane
+
+    def upper(self, variable):
+        return self.lane[variable].max("direction").values
 
     def peak(self, variable="amplitude_ratio"):
-        y = getattr(self.branch, variable)
-        return max((float(y[part].max()) for part in self.parts), default=np.nan)
+        return float(np.nanmax(self.upper(variable)))
 
     def half_power_bandwidth(self, variable="amplitude_ratio"):
-        level = self.peak(variable) / np.sqrt(2.0)
-        x, y = self.branch.values, getattr(self.branch, variable) - level
-        spans = []
-        for part in self.parts:
-            for a, b in itertools.pairwise(part):
-                ends = sorted((x[a], x[b]))
-                if y[a] * y[b] < 0:
-                    zero = x[a] + (x[b] - x[a]) * y[a] / (y[a] - y[b])
-                    ends = sorted((zero, x[a] if y[a] > 0 else x[b]))
-                elif y[a] < 0:
-                    continue
-                spans.append(ends)
-        spans.sort()
-        total, reached = 0.0, -np.inf
-        for low, high in spans:
-            total += max(0.0, high - max(low, reached))
-            reached = max(reached, high)
+        x, y = self.frequency, self.upper(variable)
+        y = y - np.nanmax(y) / np.sqrt(2.0)
+        total = 0.0
+        for a, b, low, high in zip(y[:-1], y[1:], x[:-1], x[1:], strict=True):
+            if a > 0 and b > 0:
+                total += high - low
+            elif a > 0 or b > 0:
+                total += (high - low) * max(a, b) / (max(a, b) - min(a, b))
         return total
 
     def mean(self, variable):
-        low, high = self.branch.range
-        grid = np.linspace(low, high, 401)
-        top = np.full(grid.shape, -np.inf)
-        y = getattr(self.branch, variable)
-        for part in self.parts:
-            order = part[np.argsort(self.branch.values[part])]
-            x = self.branch.values[order]
-            inside = (grid >= x[0]) & (grid <= x[-1])
-            top[inside] = np.maximum(top[inside], np.interp(grid[inside], x, y[order]))
-        known = np.isfinite(top)
-        return float(np.trapezoid(top[known], grid[known]) / (high - low))
+        x, y = self.frequency, self.upper(variable)
+        return float(np.trapezoid(y, x) / (x[-1] - x[0]))
