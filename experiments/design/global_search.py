@@ -3,7 +3,8 @@
 python experiments/design/global_search.py                # all three problems, some 15 minutes
 python experiments/design/global_search.py band quiet     # some of them
 
-Every rig is swept both ways over a grid of frequencies; the best of them are then evaluated exactly.
+Every rig is swept both ways over a grid of frequencies; the best of them are then evaluated
+exactly.
 """
 
 import json
