@@ -80,7 +80,7 @@ def _map(name: str, data: dict[str, Any], found: dict[str, Any]) -> Figure:
     handles += [
         Line2D([], [], marker="*", markersize=15, label="vj.optimise", **star),
         Line2D([], [], marker="s", markersize=11, label="best rig of the map", **square),
-        Line2D([], [], marker=".", color="black", markersize=3, ls="none", label="rigs swept"),
+        Line2D([], [], marker=".", color="black", markersize=3, ls="none", label="rigs of the map"),
     ]
     axes.set(xscale="log", yscale="log")
     for axis, ticks in ((axes.xaxis, horizontal), (axes.yaxis, vertical)):

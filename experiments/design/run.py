@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pictures
 import xarray
+from coarse import Coarse
 from problems import PROBLEMS, Problem
 
 import vibrojax as vj
@@ -36,8 +37,10 @@ SIDE = 15
 """Values along each axis of a map."""
 REACH = 4.0
 """How far a map goes from the optimum, as a ratio, if the bounds let it."""
-POINTS = 301
-"""Frequencies of the sweeps of a map."""
+TOGETHER = 45
+"""Rigs of a map that are followed side by side."""
+NEAR, POINTS = 1.1, 181
+"""Ratio of the numbers of rigs that are swept, and frequencies of their sweeps."""
 CURVES = ("amplitude_ratio", "contact_force", "mean_power")
 
 
@@ -113,43 +116,69 @@ class Swept:
         return float(np.mean(y >= y.max() / np.sqrt(2.0)) * np.ptp(self.x))
 
 
-def map_around(problem: Problem, numbers: dict[str, float]) -> dict[str, Any]:
-    """Sweep rigs all around a design, both ways, and take objective and constraint from that.
+def values_of(problem: Problem, response: Any) -> tuple[float, float]:
+    """Objective and constraint, the latter 0 where there is none."""
+    bounded = 0.0 if problem.constraint is None else problem.constraint(response)
+    return float(problem.objective(response)), float(bounded)
 
-    Sweeps settle from one frequency to the next by marches: nothing of it is what the design was
-    found by.
-    """
+
+def map_around(problem: Problem, numbers: dict[str, float]) -> dict[str, Any]:
+    """Take objective and constraint of rigs all around a design, from points of their branches."""
     axes = {n: axis_around(numbers[n], *problem.variables[n]) for n in problem.map_axes}
     others = {n: v for n, v in numbers.items() if n not in axes}
-    ((axis, along),) = problem.frequency.items()
-    frequencies = {axis: np.linspace(along.low, along.high, POINTS)}
-    begun = time.process_time()
-    maps = vj.parameter_map(problem.make_system, **axes, **others, **frequencies, progress=False)
-    seconds = time.process_time() - begun
     x, y = problem.map_axes
-    value, bounded = np.full((2, len(axes[x]), len(axes[y])), np.nan)
-    for i, j in np.ndindex(value.shape):
-        swept = Swept(maps.isel({x: i, y: j}), axis)
-        value[i, j] = problem.objective(swept)
-        if problem.constraint is not None:
-            bounded[i, j] = problem.constraint(swept)
-    other = (maps["status"] != 0) | (maps["period"] != 1)
-    fits = ~(bounded > 1.002 * problem.most)
-    sought = np.where(fits, value if problem.maximise else -value, -np.inf)
-    i, j = np.unravel_index(np.argmax(sought), value.shape)
+    both = [grid.ravel() for grid in np.meshgrid(axes[x], axes[y], indexing="ij")]
+    found, begun = [], time.process_time()
+    for k in range(0, len(both[0]), TOGETHER):
+        some = {n: values[k : k + TOGETHER] for n, values in zip((x, y), both, strict=True)}
+        branches = vj.continue_response(
+            problem.make_system, design=vj.zipped(**some), **others, **problem.frequency
+        )
+        found += [values_of(problem, Coarse(branch)) for branch in branches]
+    value, bounded = np.array(found).T.reshape(2, SIDE, SIDE)
+    sought = value if problem.maximise else -value
+    fits = np.isfinite(value) & (bounded <= 1.002 * problem.most)
+    i, j = np.unravel_index(np.argmax(np.where(fits, sought, -np.inf)), value.shape)
     k, m = (int(np.flatnonzero(axes[n] == numbers[n])[0]) for n in problem.map_axes)
     return {
         x: axes[x].tolist(),
         y: axes[y].tolist(),
         "value": value.tolist(),
-        "constraint": np.nan_to_num(bounded).tolist(),
+        "constraint": bounded.tolist(),
         "best": {x: float(axes[x][i]), y: float(axes[y][j]), "value": float(value[i, j])},
         "steps_apart": [int(abs(i - k)), int(abs(j - m))],
         "at_optimum": float(value[k, m]),
-        "constraint_at_optimum": float(np.nan_to_num(bounded[k, m])),
-        "not_of_the_drive_period": float(other.mean()),
-        "points": int(maps["status"].size),
-        "processor_seconds": round(seconds, 1),
+        "processor_seconds": round(time.process_time() - begun, 1),
+    }
+
+
+def sweeps_around(problem: Problem, numbers: dict[str, float]) -> dict[str, Any]:
+    """Sweep the design and eight rigs around it, both ways: a map by marches that settle.
+
+    So nothing of it is what the design was found by.
+    """
+    axes = {}
+    for name in problem.map_axes:
+        low, high = problem.variables[name]
+        near = np.clip(np.array([1 / NEAR, 1.0, NEAR]) * numbers[name], low, high)
+        axes[name] = np.unique(near)
+    others = {n: v for n, v in numbers.items() if n not in axes}
+    ((axis, along),) = problem.frequency.items()
+    frequencies = {axis: np.linspace(along.low, along.high, POINTS)}
+    maps = vj.parameter_map(problem.make_system, **axes, **others, **frequencies, progress=False)
+    rows = []
+    for place in np.ndindex(*(len(values) for values in axes.values())):
+        own = dict(zip(axes, place, strict=True))
+        value, bounded = values_of(problem, Swept(maps.isel(own), axis))
+        rig = {name: float(axes[name][k]) for name, k in own.items()}
+        rows.append(rig | {"value": value, "constraint": bounded})
+    at = [row for row in rows if all(row[n] == numbers[n] for n in axes)]
+    other = (maps["status"] != 0) | (maps["period"] != 1)
+    return {
+        "at_optimum": at[0]["value"],
+        "constraint_at_optimum": at[0]["constraint"],
+        "share_not_of_the_drive_period": float(other.mean()),
+        "rigs": rows,
     }
 
 
@@ -177,16 +206,20 @@ def study(name: str) -> None:
     print(name, found, f"{seconds:.1f} s", sep="\n", flush=True)
     (HERE / "pictures").mkdir(exist_ok=True)
     found.plot().savefig(HERE / "pictures" / f"optimum_{name}.png", dpi=100)
+    curves = {"first": branch_of(found.first_response), "best": branch_of(found.response)}
+    path = HERE / "results" / f"{name}.json"
     summary = {"title": problem.title, "unit": problem.unit, **summary_of(found, seconds)}
     summary |= {"settings": fields, "other_seeds": others}
+    common.write_json(path, summary)
     around = map_around(problem, found.numbers)
-    kept = ("best", "steps_apart", "at_optimum", "constraint_at_optimum", "points")
-    kept += ("not_of_the_drive_period", "processor_seconds")
-    summary["map"] = {key: around[key] for key in kept}
-    print(json.dumps(summary["map"]), flush=True)
-    curves = {"first": branch_of(found.first_response), "best": branch_of(found.response)}
-    common.write_json(HERE / "results" / f"{name}.json", summary)
+    summary["map"] = {k: around[k] for k in ("best", "steps_apart", "at_optimum")}
+    summary["map"] |= {"rigs": SIDE**2, "processor_seconds": around["processor_seconds"]}
+    common.write_json(path, summary)
     common.write_json(HERE / "results" / f"drawn_{name}.json", curves | {"map": around})
+    print(summary["map"], flush=True)
+    summary["sweeps"] = sweeps_around(problem, found.numbers)
+    common.write_json(path, summary)
+    print(summary["sweeps"], flush=True)
 
 
 def compare() -> None:
