@@ -27,7 +27,7 @@ import common
 
 HERE = Path(__file__).parent
 SETTINGS = {
-    "band": vj.design.OptimiseSettings(screened=64, starts=3, max_rounds=40),
+    "band": vj.design.OptimiseSettings(screened=48, starts=6, max_rounds=21),
     "quiet": vj.design.OptimiseSettings(screened=32, starts=3, max_rounds=45),
     "power": vj.design.OptimiseSettings(screened=32, starts=3, max_rounds=45),
 }
@@ -41,7 +41,8 @@ TOGETHER = 45
 """Rigs of a map that are followed side by side."""
 NEAR, POINTS = 1.1, 181
 """Ratio of the numbers of rigs that are swept, and frequencies of their sweeps."""
-CURVES = ("amplitude_ratio", "contact_force", "mean_power")
+CURVES = {"band": "amplitude_ratio", "quiet": "amplitude_ratio", "power": "mean_power"}
+"""What is drawn of a rig, beside the contact force."""
 
 
 def optimise(problem: Problem, settings: vj.design.OptimiseSettings) -> tuple[Any, float]:
@@ -182,13 +183,12 @@ def sweeps_around(problem: Problem, numbers: dict[str, float]) -> dict[str, Any]
     }
 
 
-def branch_of(response: Any) -> dict[str, list[Any]]:
+def branch_of(response: Any, variable: str) -> dict[str, list[Any]]:
     """The curves of a response, to be drawn."""
     branch = response.branch
     found = {"x": branch.values.tolist(), "stable": branch.stable.tolist()}
-    for name in CURVES:
-        if hasattr(branch, name):
-            found[name] = np.asarray(getattr(branch, name)).tolist()
+    for name in (variable, "contact_force"):
+        found[name] = np.asarray(getattr(branch, name)).tolist()
     return found
 
 
@@ -206,7 +206,8 @@ def study(name: str) -> None:
     print(name, found, f"{seconds:.1f} s", sep="\n", flush=True)
     (HERE / "pictures").mkdir(exist_ok=True)
     found.plot().savefig(HERE / "pictures" / f"optimum_{name}.png", dpi=100)
-    curves = {"first": branch_of(found.first_response), "best": branch_of(found.response)}
+    both = {"first": found.first_response, "best": found.response}
+    curves = {rig: branch_of(response, CURVES[name]) for rig, response in both.items()}
     path = HERE / "results" / f"{name}.json"
     summary = {"title": problem.title, "unit": problem.unit, **summary_of(found, seconds)}
     summary |= {"settings": fields, "other_seeds": others}
