@@ -83,11 +83,12 @@ def _map(name: str, data: dict[str, Any], found: dict[str, Any]) -> Figure:
         Line2D([], [], marker=".", color="black", markersize=3, ls="none", label="rigs of the map"),
     ]
     axes.set(xscale="log", yscale="log")
+    axes.tick_params(pad=9)
     for axis, ticks in ((axes.xaxis, horizontal), (axes.yaxis, vertical)):
         _ticks(axis, ticks[0], ticks[-1])
     axes.set_xlabel(x_label, fontsize=LABEL)
     axes.set_ylabel(y_label, fontsize=LABEL)
-    figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=SMALL, frameon=False)
+    figure.legend(handles=handles, loc="outside upper left", ncols=2, fontsize=SMALL, frameon=False)
     return figure
 
 
@@ -124,12 +125,13 @@ def _curves(name: str, data: dict[str, Any], found: dict[str, Any]) -> Figure:
     limit["quiet"] = (both[0], 1e3 * LARGEST, "8 mm allowed")
     if name in limit:
         axes, height, words = limit[name]
+        axes.set_ylim(top=max(axes.get_ylim()[1], 1.12 * height))
         axes.axhline(height, color=COLORS["red"], lw=1.4, ls=(0, (1.5, 1.5)))
         axes.annotate(
             words,
-            (1, height),
+            (0.22, height),
             xycoords=("axes fraction", "data"),
-            xytext=(-4, 4),
+            xytext=(-4, 5),
             textcoords="offset points",
             ha="right",
             fontsize=SMALL,
@@ -141,7 +143,8 @@ def _curves(name: str, data: dict[str, Any], found: dict[str, Any]) -> Figure:
         Line2D([], [], color=color, lw=width, label=WORDS[rig])
         for rig, (color, width) in RIGS.items()
     ]
-    handles.append(Line2D([], [], color="0.35", lw=1.6, ls=common.DASHES, label="unstable"))
+    if not all(all(data[rig]["stable"]) for rig in RIGS):
+        handles.append(Line2D([], [], color="0.35", lw=1.6, ls=common.DASHES, label="unstable"))
     if name == "band":
         handles.append(Line2D([], [], color="0.35", lw=5, alpha=0.4, label="half-power band"))
     if name == "power":
