@@ -122,7 +122,7 @@ def _curves(name: str, data: dict[str, Any], found: dict[str, Any]) -> Figure:
         axes.set_ylabel(label, fontsize=LABEL)
         axes.set_ylim(bottom=0)
     limit = {"band": (both[1], MOST_FORCE, "2 N allowed")}
-    limit["quiet"] = (both[0], 1e3 * LARGEST, "8 mm allowed")
+    limit["quiet"] = (both[0], 1e3 * LARGEST, "5 mm allowed")
     if name in limit:
         axes, height, words = limit[name]
         axes.set_ylim(top=max(axes.get_ylim()[1], 1.12 * height))
