@@ -1,4 +1,4 @@
-"""Three designs by `vj.optimise`, beside a global search of 10,000 rigs and a map around each.
+"""Three designs by `vj.optimise`, beside a global search of 16,384 rigs and a map around each.
 
 python experiments/design/run.py                # all three
 python experiments/design/run.py --only band    # one of band, quiet, power
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pictures
 import xarray
-from coarse import Coarse
+from on_branch import OnBranch
 from problems import PROBLEMS, Problem
 
 import vibrojax as vj
@@ -135,7 +135,7 @@ def map_around(problem: Problem, numbers: dict[str, float]) -> dict[str, Any]:
         branches = vj.continue_response(
             problem.make_system, design=vj.zipped(**some), **others, **problem.frequency
         )
-        found += [values_of(problem, Coarse(branch)) for branch in branches]
+        found += [values_of(problem, OnBranch(branch)) for branch in branches]
     value, bounded = np.array(found).T.reshape(2, SIDE, SIDE)
     sought = value if problem.maximise else -value
     fits = np.isfinite(value) & (bounded <= 1.002 * problem.most)

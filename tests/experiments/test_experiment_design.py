@@ -1,4 +1,4 @@
-"""The experiment with designs: measures of its global search, and what its page says."""
+"""The experiment with designs: measures of its maps, and what its page says."""
 
 import importlib.util
 import json
@@ -20,17 +20,17 @@ def load(name):
 
 
 @pytest.mark.slow
-def test_measures_of_the_global_search_are_near_the_exact_ones():
+def test_measures_of_the_maps_are_near_the_exact_ones():
     problem = load("problems").PROBLEMS["quiet"]
     best = json.loads((FOLDER / "results" / "quiet.json").read_text())
     response = vj.design.respond(problem.make_system, **best["numbers"], **problem.frequency)
     assert float(problem.objective(response)) == pytest.approx(best["value"], rel=1e-6)
     assert float(problem.constraint(response)) == pytest.approx(best["constraint"], rel=1e-6)
-    coarse = load("coarse").Coarse(response.branch)
+    on_branch = load("on_branch").OnBranch(response.branch)
     for function in (problem.objective, problem.constraint):
-        assert function(coarse) == pytest.approx(float(function(response)), rel=2e-3)
+        assert function(on_branch) == pytest.approx(float(function(response)), rel=2e-3)
     exact = response.half_power_bandwidth(), response.mean("contact_force")
-    found = coarse.half_power_bandwidth(), coarse.mean("contact_force")
+    found = on_branch.half_power_bandwidth(), on_branch.mean("contact_force")
     assert found == pytest.approx(exact, rel=5e-3)
 
 

@@ -56,7 +56,7 @@ class RigEvaluator(AbstractEvaluator):
         self.followed = 0
         """Branches that were followed."""
 
-    def check(self, place: Sequence[float]) -> AbstractSystem:
+    def check(self, place: Sequence[float] | Float[np.ndarray, " numbers"]) -> AbstractSystem:
         """Build the rig of a place from concrete numbers, and refuse one that cannot be answered.
 
         Raises `ValueError`.
