@@ -227,7 +227,7 @@ class _Curve:
 
         still = lax.stop_gradient((tables, motion))
 
-        def nearer(_: int, angle: Array) -> Array:
+        def nearer(_: Any, angle: Array) -> Array:
             one = jnp.ones_like(angle)
             rate, bend = jax.jvp(lambda a: nearness(*still, a)[1], (angle,), (one,))
             return angle - jnp.clip(rate / jnp.where(bend == 0, 1.0, bend), -0.05, 0.05)
