@@ -13,6 +13,7 @@ import xarray
 from closed_forms import ClosedForm, Interrupted, rosenbrock
 
 import vibrojax as vj
+from vibrojax.design import rig_functions
 from vibrojax.design.constraints import Constraint
 from vibrojax.design.optimise import optimise, search_design
 from vibrojax.design.settings import OptimiseSettings
@@ -239,9 +240,7 @@ def closed_rigs(monkeypatch):
         def response(self, place):
             return types.SimpleNamespace(place=place, branch=None)
 
-    module = types.ModuleType("rig_evaluator")
-    module.RigEvaluator = Rigs
-    monkeypatch.setitem(__import__("sys").modules, "vibrojax.design.rig_evaluator", module)
+    monkeypatch.setattr(rig_functions, "RigEvaluator", Rigs)
     return seen
 
 

@@ -1,5 +1,5 @@
+import importlib
 import sys
-import types
 
 import jax.numpy as jnp
 import numpy as np
@@ -147,14 +147,18 @@ def test_the_call_makes_the_evaluator(monkeypatch):
 
     def evaluator(make_system, functions, names, **others):
         asked.update(others, make=make_system, names=names)
-        return Analytic(names, {name: lambda x: x[0] for name in functions})
+        found = Analytic(names, {name: lambda x: x[0] for name in functions})
+        found.check = lambda place: asked.update(place=place)
+        return found
 
-    module = types.SimpleNamespace(RigEvaluator=evaluator)
-    monkeypatch.setitem(sys.modules, "vibrojax.design.rig_evaluator", module)
+    monkeypatch.setattr(
+        importlib.import_module("vibrojax.design.propagate"), "RigEvaluator", evaluator
+    )
     found = propagate(
         vj.default_rig, {"gap": GAP}, FORCE, frequency_ratio=RANGE, taper=0.3, num_modes=2
     )
     assert asked.pop("settings").max_points == 5000
+    assert asked.pop("place") == pytest.approx([3e-4])
     assert asked == {
         "make": vj.default_rig,
         "names": ("gap",),

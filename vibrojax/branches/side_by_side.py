@@ -226,10 +226,10 @@ def _solve(
     found = []
     for i, ask in enumerate(asks):
         n = len(ask.times)
-        length = np.hypot(
-            np.linalg.norm(solved.state_along[i]) / max(np.linalg.norm(solved.state[i]), 1e-300),
-            solved.parameter_along[i] / scales[i, -1],
-        )
+        with np.errstate(over="ignore"):  # of one that has run away
+            size = max(np.linalg.norm(solved.state[i]), 1e-300)
+            far = np.linalg.norm(solved.state_along[i]) / size
+        length = np.hypot(far, solved.parameter_along[i] / scales[i, -1])
         length = length if np.isfinite(length) and length > 0 else 1.0
         found.append(
             OnCurve(

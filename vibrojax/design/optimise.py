@@ -157,6 +157,9 @@ def search_design(
                 stopped = True
                 break
             ends, near = _search(trials, goal, [better.place], ends, settings), []
+    last = trials.best(goal)
+    if goal.rank(last.values) < goal.rank(best.values):
+        best, near = last, []  # none that was tried is lost
     return _optimum(trials, goal, constraints, best, near, ends, end, stopped, settings, response)
 
 
