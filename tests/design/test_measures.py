@@ -12,13 +12,21 @@ RANGE = vj.Range(0.9, 1.35)
 pytestmark = pytest.mark.slow
 
 
-def rig(gap=4e-4, stiffness=5500.0):
+GAP, STEPS = 4e-4, (4e-8, 2e-8)
+
+
+def rig(gap=GAP, stiffness=5500.0):
     return vj.default_rig(gap=gap, stiffness=stiffness, num_modes=2)
+
+
+def respond(gap=GAP, stiffness=5500.0):
+    """The response of a rig, with derivatives in its gap."""
+    return vj.design.respond(lambda gap: rig(gap, stiffness), gap=gap, frequency_ratio=RANGE)
 
 
 @pytest.fixture(scope="module")
 def response():
-    return vj.design.respond(rig, gap=4e-4, stiffness=5500.0, frequency_ratio=RANGE)
+    return respond()
 
 
 @pytest.fixture(scope="module")
@@ -27,14 +35,34 @@ def sweep():
     return vj.frequency_sweep(rig(), frequency_ratio=frequencies, progress=False)
 
 
-def test_derivatives_are_those_of_finite_differences():
+@pytest.mark.long
+def test_derivatives_of_random_rigs_are_those_of_finite_differences():
     rows = [row for row in design_slopes.run(2, 3) if row["same_shape"]]
     assert rows
     for row in rows:
         compared = {name: own for name, own in row.items() if isinstance(own, dict)}
         assert len(compared) >= 14
         for name, own in compared.items():
-            assert own["difference"] < 1e-5 + 10 * own["doubt"] ** 2, name
+            assert own["difference"] < 1e-5 + 3 * own["doubt"], name
+
+
+@pytest.mark.parametrize("name", design_slopes.MEASURES)
+def test_derivatives_are_those_of_finite_differences(name, response, moved):
+    function = design_slopes.MEASURES[name]
+    value, slopes = response.slopes(function)
+    found = [float(function(each)) for each in moved]
+    whole, half = (
+        (a - b) / (2 * step) for a, b, step in zip(found[::2], found[1::2], STEPS, strict=True)
+    )
+    finite = half + (half - whole) / 3
+    # Next to touches a force has corners, over which a step goes.
+    near = 2e-3 if "force" in name and "mean" in name else 2e-5
+    assert slopes["gap"] == pytest.approx(finite, rel=near, abs=1e-4 * abs(value))
+
+
+@pytest.fixture(scope="module")
+def moved():
+    return [respond(gap=GAP + way * step) for step in STEPS for way in (1, -1)]
 
 
 def test_measures_are_those_of_the_sweep(response, sweep):
@@ -42,18 +70,18 @@ def test_measures_are_those_of_the_sweep(response, sweep):
     upper = data.amplitude_ratio.max("direction")
     assert response.peak() == pytest.approx(float(upper.max()), rel=1e-2)
     assert response.at("amplitude_ratio", 1.1) == pytest.approx(
-        float(upper.sel(frequency_ratio=1.1)), rel=1e-6
+        float(upper.sel(frequency_ratio=1.1, method="nearest")), rel=1e-6
     )
     lower = data.amplitude_ratio.min("direction")
     assert response.at("amplitude_ratio", 1.2, of="lower") == pytest.approx(
-        float(lower.sel(frequency_ratio=1.2)), rel=1e-6
+        float(lower.sel(frequency_ratio=1.2, method="nearest")), rel=1e-6
     )
     assert response.fold_frequency() == pytest.approx(float(sweep.jump_down), rel=1e-4)
     assert response.fold_frequency(0) == pytest.approx(float(sweep.jump_up), rel=1e-4)
     width = response.fold_frequency() - response.fold_frequency(0)
     assert response.hysteresis_width() == pytest.approx(width, rel=1e-9)
     x = data.frequency_ratio.values
-    assert response.area() == pytest.approx(np.trapezoid(upper, x), rel=5e-3)
+    assert response.area() == pytest.approx(np.trapezoid(upper, x), rel=1e-2)
     assert response.mean() == pytest.approx(response.area() / 0.45)
     above = np.mean(upper.values >= 12.0) * 0.45
     assert response.bandwidth(12.0) == pytest.approx(above, abs=6e-3)
@@ -74,7 +102,8 @@ def test_functions_of_measures_are_differentiated(response):
     assert slopes["gap"] == pytest.approx(by_number["gap"] / whole - 1 / 4e-4)
     # A level that depends on the rig moves with it.
     half, moved = response.slopes(lambda r: r.bandwidth(r.peak() / jnp.sqrt(2.0)))
-    assert (half, moved) == response.slopes(lambda r: r.half_power_bandwidth())
+    width, by_gap = response.slopes(lambda r: r.half_power_bandwidth())
+    assert (half, moved["gap"]) == pytest.approx((width, by_gap["gap"]), rel=1e-9)
 
 
 def test_what_there_is_not_is_said(response):
@@ -97,8 +126,8 @@ def test_what_there_is_not_is_said(response):
 
 
 def test_without_a_fold_there_is_no_hysteresis():
-    quiet = vj.design.respond(rig, gap=4e-4, stiffness=50.0, frequency_ratio=RANGE)
-    assert quiet.slopes(lambda r: r.hysteresis_width()) == (0.0, {"gap": 0.0, "stiffness": 0.0})
+    quiet = respond(stiffness=50.0)
+    assert quiet.slopes(lambda r: r.hysteresis_width()) == (0.0, {"gap": 0.0})
     with pytest.raises(NoSuchPlace, match="0 folds"):
         quiet.fold_frequency()
 
@@ -116,7 +145,7 @@ def test_rigs_that_have_no_measures_are_refused():
         vj.design.respond(vj.default_rig, damping_ratio=0.0, num_modes=1, frequency_ratio=RANGE)
 
 
-def test_a_design_by_gradient_and_its_band():
+def test_a_design_by_gradient():
     best = vj.optimise(
         rig,
         lambda r: r.peak("contact_force"),
@@ -131,14 +160,19 @@ def test_a_design_by_gradient_and_its_band():
     history = best.history
     allowed = history.value[history.constraints[:, 0] <= 36]
     assert best.value <= allowed.min() + 1e-9
-    band = vj.design.band(
-        rig, {"gap": vj.design.Tolerance(2e-5)}, frequency_ratio=RANGE, stiffness=5500.0
-    )
+
+
+def test_the_band_of_a_tolerance(response):
+    tolerance = {"gap": vj.design.Tolerance(1e-6)}
+    band = vj.design.band(lambda gap=GAP: rig(gap), tolerance, frequency_ratio=RANGE)
     branch = vj.continue_response(rig(), frequency_ratio=RANGE)
-    at = int(np.argmax(band.amplitude_ratio.values))
-    moved = vj.design.respond(rig, gap=4.2e-4, frequency_ratio=RANGE, stiffness=5500.0)
-    change = float(band.amplitude_ratio_change[0, at])
-    assert change == pytest.approx(moved.peak() - branch.amplitude_ratio.max(), rel=0.2)
+    x, y = band.frequency_ratio.values, band.amplitude_ratio.values
+    np.testing.assert_allclose(x, branch.values)
+    k = int(np.argmin(np.abs(x[: len(x) // 2] - 1.15)))
+    slope = np.gradient(y[k - 1 : k + 2], x[k - 1 : k + 2])[1]
+    change = band.amplitude_ratio_change[0, k] - slope * band.frequency_change[0, k]
+    _, by_gap = response.slopes(lambda r: r.at("amplitude_ratio", float(x[k])))
+    assert float(change) == pytest.approx(1e-6 * by_gap["gap"], rel=2e-2)
     assert branch.plot(band=band).axes[0].get_legend_handles_labels()[1]
     with pytest.raises(ValueError, match="band must be one"):
         branch.plot("leading_multiplier", band=band)

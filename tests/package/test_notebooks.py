@@ -12,8 +12,8 @@ import execute
 
 SOURCES = execute.sources()
 MOST_BYTES = 600_000
-LONG = {"11_design"}
-"""Notebooks that take minutes on small grids too, most of it compiling."""
+LONG = {"10_measured_impacts", "11_design"}
+"""Notebooks that take minutes on small grids too, most of it compiling or fits."""
 
 
 def by_name(path):
