@@ -22,7 +22,7 @@ import vibrojax as vj
 from vibrojax.design.measures import NoSuchPlace
 from vibrojax.design.rig_evaluator import RigEvaluator
 
-RESULTS = Path(__file__).parent / "results" / "design_slopes.json"
+RESULTS = Path(__file__).parent / "design_slopes.json"
 RANGES = {
     "gap": (2e-4, 8e-4),
     "stiffness": (1e3, 2e4),
@@ -33,6 +33,8 @@ RANGES = {
     "damping_ratio": (0.01, 0.04),
 }
 FREQUENCY = vj.Range(0.9, 1.4)
+DOUBT = 1e-4
+"""Most that the finite differences of both steps may differ, over their size, to count."""
 STEP = 2e-4
 """Over the size of each number."""
 MEASURES: dict[str, Callable[[Any], Any]] = {
@@ -119,12 +121,14 @@ def main() -> None:
     same = [row for row in found if row["same_shape"]]
     table = {}
     for name in MEASURES:
-        own = [row[name]["difference"] for row in same if name in row]
-        if own:
-            table[name] = {"rigs": len(own), "median": np.median(own), "largest": max(own)}
-            print(
-                f"{name:30s} {len(own):3d} rigs, median {np.median(own):.1e}, most {max(own):.1e}"
-            )
+        own = [row[name] for row in same if name in row]
+        firm = [one["difference"] for one in own if one["doubt"] <= DOUBT]
+        if firm:
+            most = max(firm)
+            counts = {"rigs": len(firm), "in_doubt": len(own) - len(firm)}
+            table[name] = counts | {"median": float(np.median(firm)), "largest": most}
+            words = ", ".join(f"{count} {what}" for what, count in counts.items())
+            print(f"{name:30s} {words}, median {np.median(firm):.1e}, most {most:.1e}")
     print(f"{len(found) - len(same)} of {len(found)} rigs change their shape within the steps")
     if asked.rigs == 20 and asked.seed == 22:
         RESULTS.write_text(

@@ -322,7 +322,9 @@ def multipliers_around(
 
             def end(way: Array) -> Array:
                 start = there.unknown.at[:-1].add(way)
-                return curve.follow(there.path, start, there.motion.times)[1].end * curve.unit
+                # Times that are right to second order, as rates at the events are held.
+                times = curve.follow(there.path, start, there.motion.times)[1].times
+                return curve.follow(there.path, start, times)[1].end * curve.unit
 
             # Its product with the vectors is all of the Jacobian that counts.
             zero = jnp.zeros(len(there.unknown) - 1)
