@@ -75,7 +75,8 @@ def search(problem: Problem, count: int = RIGS) -> dict:
             left += 1
             continue
         if held <= problem.most:
-            best.append({"numbers": own, "value": exact, "constraint": held, "swept": float(value[k])})
+            row = {"numbers": own, "value": exact, "constraint": held}
+            best.append(row | {"swept": float(value[k])})
     best.sort(key=lambda row: -row["value"] if problem.maximise else row["value"])
     return {
         "rigs": count,
