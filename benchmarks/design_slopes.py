@@ -82,6 +82,9 @@ def compared(rng: np.random.Generator, evaluator: RigEvaluator) -> dict[str, Any
         except NoSuchPlace:
             continue
         exact = float(slopes @ way)
+        if np.isnan(exact):
+            found["unknown"] = [*found.get("unknown", []), name]
+            continue
         whole, half = (
             (a - b) / (2 * s)
             for a, b, s in zip(moved[::2], moved[1::2], (STEP, STEP / 2), strict=True)
@@ -129,6 +132,8 @@ def main() -> None:
             table[name] = counts | {"median": float(np.median(firm)), "largest": most}
             words = ", ".join(f"{count} {what}" for what, count in counts.items())
             print(f"{name:30s} {words}, median {np.median(firm):.1e}, most {most:.1e}")
+    unknown = [row["unknown"] for row in same if "unknown" in row]
+    print(f"Said to be unknown: {unknown}")
     print(f"{len(found) - len(same)} of {len(found)} rigs change their shape within the steps")
     if asked.rigs == 20 and asked.seed == 22:
         RESULTS.write_text(
@@ -137,6 +142,7 @@ def main() -> None:
                     "processor": platform.processor() or platform.machine(),
                     "processor_seconds": round(time.process_time() - begun, 1),
                     "changed_shape": len(found) - len(same),
+                    "said_to_be_unknown": unknown,
                     "measures": table,
                 },
                 indent=1,

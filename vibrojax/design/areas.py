@@ -23,8 +23,8 @@ from vibrojax.design.pieces import Between, Piece
 AT_END = 1e-9
 """Distance from an end of a part, over its width, that is none."""
 FIRM = 2e-6
-"""Difference of the two rules between two points of the branch, over the whole area, up to which
-the better one counts: its own error is a hundredth of that."""
+"""Difference of the two rules between two points of the branch, over the whole, up to which the
+better one counts: its own error is a hundredth of that. Of the area, and of each derivative."""
 HALVINGS = 6
 """Of the way between two points, at the most."""
 INNER, OUTER = 5**-0.5, (2 / 3) ** 0.5
@@ -127,6 +127,12 @@ def _along(part: _Part, variable: Variable) -> Dual:
             for side, end in enumerate(ends):
                 if (end < bound == low) or (end > bound == high):
                     places[side], motions[side] = between.place_of(motion), motion
+        for side in (0, 1):
+            # The way along the tangent is of states at the section of the first motion.
+            if not between.compares(motions[side]):
+                ((motions[side],),) = known.run([between.at_each([places[side]])])
+        if any(motion is None for motion in motions):
+            raise NoSuchPlace("Not all motions under the curve were found.")
         cells.append(_Cell(between, places[0], places[1], (motions[0], motions[1])))
     total, slopes = _integrated(known, cells, variable)
     rises = piece.frequency[0] <= piece.frequency[-1]
@@ -140,20 +146,24 @@ def _along(part: _Part, variable: Variable) -> Dual:
 
 
 def _integrated(known: KnownBranch, cells: list[_Cell], variable: Variable) -> _Sum:
-    """Integrate over cells, those in halves that are not known well enough."""
-    total, slopes = 0.0, np.zeros(known.numbers)
+    """Integrate over cells, those in halves that are not known well enough.
+
+    Derivatives are NaN where a cell is not smooth: they are not known.
+    """
+    done, left = np.zeros(1 + known.numbers), cells
+    size, unknown = np.zeros_like(done), False
     for depth in range(HALVINGS + 1):
-        found = _sums(known, cells, variable)
-        whole, left = abs(total) + sum(abs(better.value) for better, _ in found), []
-        for cell, (better, coarse) in zip(cells, found, strict=True):
-            if abs(better.value - coarse) <= FIRM * whole or depth == HALVINGS:
-                total, slopes = total + better.value, slopes + better.slopes
-            else:
-                left.append(cell)
+        better, coarse = _sums(known, left, variable)
+        size = np.maximum(size, np.abs(done) + np.sum(np.abs(better), axis=0))
+        firm = np.all(np.abs(better - coarse) <= FIRM * size, axis=1)
+        if depth == HALVINGS:
+            # The branch has left something out there: it is not smooth, however near one looks.
+            unknown, firm = not firm.all(), np.ones_like(firm)
+        done = done + np.sum(better[firm], axis=0)
+        left = [half for k in np.flatnonzero(~firm) for half in _halves(known, left[k])]
         if not left:
             break
-        cells = [half for cell in left for half in _halves(known, cell)]
-    return _Sum(total, slopes)
+    return _Sum(float(done[0]), np.full_like(done[1:], np.nan) if unknown else done[1:])
 
 
 def _halves(known: KnownBranch, cell: _Cell) -> list[_Cell]:
@@ -168,9 +178,11 @@ def _halves(known: KnownBranch, cell: _Cell) -> list[_Cell]:
     ]
 
 
-def _sums(known: KnownBranch, cells: list[_Cell], variable: Variable) -> list[tuple[_Sum, float]]:
-    """Integrate over each cell by the better rule; also the value by the coarser one."""
-    x, weights = (KRONROD[0] + 1) / 2, KRONROD[1]
+def _sums(
+    known: KnownBranch, cells: list[_Cell], variable: Variable
+) -> tuple[Float[np.ndarray, "cells sums"], Float[np.ndarray, "cells sums"]]:
+    """Integrate the area and its derivatives over each cell, by the better and the coarser rule."""
+    x = (KRONROD[0] + 1) / 2
     steps = [c.between.at_each(c.low + x[1:-1] * (c.high - c.low)) for c in cells]
     every: list[list[Any]] = []
     for cell, inner in zip(cells, known.run(steps), strict=True):
@@ -178,12 +190,10 @@ def _sums(known: KnownBranch, cells: list[_Cell], variable: Variable) -> list[tu
             raise NoSuchPlace("Not all motions under the curve were found.")
         every.append([cell.ends[0], *inner, cell.ends[1]])
     y, slopes = _integrand(known, cells, every, variable)
-    found = []
-    for cell, own, moves in zip(cells, y, slopes, strict=True):
-        way = cell.high - cell.low
-        better = _Sum(way * float(weights @ own), way * (weights @ moves))
-        found.append((better, way * float(LOBATTO @ own)))
-    return found
+    both = np.concatenate([y[..., None], slopes], axis=2)
+    ways = np.array([cell.high - cell.low for cell in cells])[:, None]
+    better, coarse = (np.einsum("p,cps->cs", weights, both) for weights in (KRONROD[1], LOBATTO))
+    return ways * better, ways * coarse
 
 
 def _integrand(
@@ -191,7 +201,7 @@ def _integrand(
 ) -> tuple[Float[np.ndarray, "cells points"], Float[np.ndarray, "cells points numbers"]]:
     """What is integrated over the place, and what over it gives the derivatives."""
     if not cells:
-        return np.zeros((0, 0)), np.zeros((0, 0, known.numbers))
+        return np.zeros((0, len(KRONROD[0]))), np.zeros((0, len(KRONROD[0]), known.numbers))
     shape = len(cells), len(every[0])
     rows = known.around([m for own in every for m in own], means=variable.source in MEANS)
     at = variable.column

@@ -132,6 +132,11 @@ class Between:
         change = motion.state - first.state, motion.parameter - first.parameter
         return self.stretch.search.along(first, *change)
 
+    def compares(self, motion: OnCurve) -> bool:
+        """Whether the state of a motion is at the drive phase of those of the stretch."""
+        touch, first = self.stretch.touch, self.stretch.first
+        return touch is not None or motion.contacts.section == first.contacts.section
+
     def stretch_at(self, motion: OnCurve) -> float:
         """How much of the curve there is per unit of the place at a motion; none at a touch."""
         touch = self.stretch.touch
