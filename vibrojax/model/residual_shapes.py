@@ -46,13 +46,17 @@ def residual_modes(
     """
     lower, kept = _independent(flexibility, whole)
     unit = lower @ mass @ lower.T
-    # Columns that are none get eigenvalues of their own: equal ones would have no derivative.
-    spare = 0.25 * 0.5 ** jnp.arange(len(whole)) / highest**2
-    unit = jnp.where(kept[:, None] & kept[None], unit, 0.0) + jnp.diag(jnp.where(kept, 0.0, spare))
+    # Columns that are none get negative eigenvalues of their own: they stand last and apart, and
+    # equal ones would have no derivative.
+    order = jnp.arange(len(whole))
+    unit = jnp.where(kept[:, None] & kept[None], unit, 0.0)
+    unit = unit - jnp.diag(jnp.where(kept, 0.0, (1 + order) / highest**2))
     inverse, across = jnp.linalg.eigh((unit + unit.T) / 2)
     inverse, across = inverse[::-1], across[:, ::-1]
-    shares = jnp.where(kept[:, None], lower, 0.0).T @ across / jnp.sqrt(inverse)
-    return 1 / jnp.sqrt(inverse), shares
+    is_mode = inverse > 0
+    root = jnp.sqrt(jnp.where(is_mode, inverse, 0.25 * 0.5**order / highest**2))
+    shares = jnp.where(kept[:, None], lower, 0.0).T @ across / root
+    return 1 / root, jnp.where(is_mode, shares, 0.0)
 
 
 def _independent(flexibility: Square, whole: Float[Array, " stops"]) -> tuple[Square, Any]:
