@@ -3,6 +3,7 @@
 import gc
 import inspect
 import os
+import signal
 from importlib.metadata import version
 from pathlib import Path
 
@@ -53,6 +54,12 @@ def _room_for_compiled_code():
         jax.clear_caches()
         forget()
         gc.collect()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _interrupts_are_heard():
+    """A shell starts what runs in the background with interrupts switched off."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def make_rig(

@@ -180,6 +180,13 @@ def test_the_script_reads_the_measurements_to_the_last_digit(page, tmp_path, mon
     assert "bounds" not in asked
 
 
+def test_no_digit_is_lost_to_how_numpy_prints(tmp_path):
+    with np.printoptions(legacy="1.13"):
+        files = run_again(fitted()).files
+    table = np.genfromtxt(files["measurement_1.csv"].splitlines(), delimiter=",", names=True)
+    assert table["amplitude"].tolist() == curve().amplitude.tolist()
+
+
 def test_what_the_script_lacks_is_said():
     text = Reader(report_page(fit := fitted(lambda **n: rig(**n)), run_again(fit))).text
     assert "It does not run as it is; put in its place what is missing." in text

@@ -99,6 +99,17 @@ def test_nastran_punch(tmp_path):
         vj.io.read_matrices(stiffness=(path, "K2"), mass=path)
 
 
+def test_reading_nastran_leaves_how_numpy_prints(tmp_path, monkeypatch):
+    pytest.importorskip("pyyeti")
+    for name in [name for name in sys.modules if name.startswith("pyyeti")]:
+        monkeypatch.delitem(sys.modules, name)
+    path = tmp_path / "model.pch"
+    write_punch(path, KAAX=STIFFNESS, MAAX=MASS)
+    with np.printoptions(legacy=False):
+        vj.io.read_matrices(stiffness=path, mass=(path, "MAAX"))
+        assert np.get_printoptions()["legacy"] is False
+
+
 def test_nastran_op4(tmp_path):
     op4 = pytest.importorskip("pyyeti.nastran.op4")
     path = tmp_path / "model.op4"

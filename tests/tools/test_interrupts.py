@@ -24,14 +24,6 @@ LIMIT = 5.0
 """Seconds after which a program has to have ended."""
 
 
-@pytest.fixture(autouse=True)
-def _interrupts_are_heard():
-    """A shell starts what runs in the background with interrupts switched off."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 @pytest.fixture
 def interrupt():
     """Function that sends Ctrl-C to the main thread, now or after some seconds."""

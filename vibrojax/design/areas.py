@@ -25,8 +25,10 @@ AT_END = 1e-9
 FIRM = 2e-6
 """Difference of the two rules between two points of the branch, over the whole, up to which the
 better one counts: its own error is a hundredth of that. Of the area, and of each derivative."""
-HALVINGS = 6
-"""Of the way between two points, at the most."""
+CUTS = 9
+"""How often the way between two points is cut, at the most."""
+CORNER = 8.0
+"""Bend between two neighbours of the points of the rule, over the usual one, that is a corner."""
 INNER, OUTER = 5**-0.5, (2 / 3) ** 0.5
 KRONROD = (
     np.array([-1, -OUTER, -INNER, 0, INNER, OUTER, 1]),
@@ -145,42 +147,70 @@ def _along(part: _Part, variable: Variable) -> Dual:
     return Dual(sign * total, np.append(sign * slopes, 0.0) + moved)
 
 
+class _Looked(NamedTuple):
+    """What the rules say about a cell."""
+
+    better: Float[np.ndarray, " sums"]
+    """The area and its derivatives."""
+    coarse: Float[np.ndarray, " sums"]
+    motions: list[OnCurve]
+    """At the points of the rules."""
+    height: Float[np.ndarray, " points"]
+    slope: Float[np.ndarray, " points"]
+    """Of what is integrated, over the place."""
+
+
 def _integrated(known: KnownBranch, cells: list[_Cell], variable: Variable) -> _Sum:
-    """Integrate over cells, those in halves that are not known well enough.
+    """Integrate over cells, those in pieces that are not known well enough.
 
     Derivatives are NaN where a cell is not smooth: they are not known.
     """
     done, left = np.zeros(1 + known.numbers), cells
     size, unknown = np.zeros_like(done), False
-    for depth in range(HALVINGS + 1):
-        better, coarse = _sums(known, left, variable)
+    for count in range(CUTS + 1):
+        if not left:
+            break
+        looked = _looked_at(known, left, variable)
+        better, coarse = (np.array([own[k] for own in looked]) for k in (0, 1))
         size = np.maximum(size, np.abs(done) + np.sum(np.abs(better), axis=0))
         firm = np.all(np.abs(better - coarse) <= FIRM * size, axis=1)
-        if depth == HALVINGS:
+        if count == CUTS:
             # The branch has left something out there: it is not smooth, however near one looks.
             unknown, firm = not firm.all(), np.ones_like(firm)
         done = done + np.sum(better[firm], axis=0)
-        left = [half for k in np.flatnonzero(~firm) for half in _halves(known, left[k])]
-        if not left:
-            break
+        left = [c for k in np.flatnonzero(~firm) for c in _pieces(known, left[k], looked[k])]
     return _Sum(float(done[0]), np.full_like(done[1:], np.nan) if unknown else done[1:])
 
 
-def _halves(known: KnownBranch, cell: _Cell) -> list[_Cell]:
-    between, middle = cell.between, (cell.low + cell.high) / 2
-    ((motion,),) = known.run([between.at_each([middle])])
-    if motion is None:
-        raise NoSuchPlace("Not all motions under the curve were found.")
-    first, last = cell.ends
-    return [
-        _Cell(between, cell.low, middle, (first, motion)),
-        _Cell(between, middle, cell.high, (motion, last)),
-    ]
+def _pieces(known: KnownBranch, cell: _Cell, looked: _Looked) -> list[_Cell]:
+    """Cut a cell at its corner, between the points next to that, or in halves.
+
+    A corner is where another contact, or another time, becomes that of the largest force.
+    """
+    places = cell.low + (KRONROD[0] + 1) / 2 * (cell.high - cell.low)
+    step, bend = np.diff(places), np.diff(looked.slope)
+    sharp = np.abs(bend / step)
+    k, middle = int(np.argmax(sharp)), len(places) // 2
+    inside = 0.5
+    if sharp[k] > CORNER * np.median(sharp):
+        # Where the tangents at both points meet.
+        rise = looked.height[k + 1] - looked.height[k]
+        inside = (looked.slope[k + 1] * step[k] - rise) / (bend[k] * step[k])
+        kept = [0, k, k + 1, len(places) - 1]
+    else:
+        kept = [0, middle, len(places) - 1]
+    ends = [(float(places[i]), looked.motions[i]) for i in dict.fromkeys(kept)]
+    if len(kept) == 4 and 0.0 < inside < 1.0:
+        corner = float(places[k] + inside * step[k])
+        ((motion,),) = known.run([cell.between.at_each([corner])])
+        if motion is None:
+            raise NoSuchPlace("Not all motions under the curve were found.")
+        ends.append((corner, motion))
+        ends.sort(key=lambda end: end[0], reverse=cell.high < cell.low)
+    return [_Cell(cell.between, a, b, (m, n)) for (a, m), (b, n) in pairwise(ends)]
 
 
-def _sums(
-    known: KnownBranch, cells: list[_Cell], variable: Variable
-) -> tuple[Float[np.ndarray, "cells sums"], Float[np.ndarray, "cells sums"]]:
+def _looked_at(known: KnownBranch, cells: list[_Cell], variable: Variable) -> list[_Looked]:
     """Integrate the area and its derivatives over each cell, by the better and the coarser rule."""
     x = (KRONROD[0] + 1) / 2
     steps = [c.between.at_each(c.low + x[1:-1] * (c.high - c.low)) for c in cells]
@@ -189,25 +219,27 @@ def _sums(
         if any(motion is None for motion in inner):
             raise NoSuchPlace("Not all motions under the curve were found.")
         every.append([cell.ends[0], *inner, cell.ends[1]])
-    y, slopes = _integrand(known, cells, every, variable)
-    both = np.concatenate([y[..., None], slopes], axis=2)
-    ways = np.array([cell.high - cell.low for cell in cells])[:, None]
-    better, coarse = (np.einsum("p,cps->cs", weights, both) for weights in (KRONROD[1], LOBATTO))
-    return ways * better, ways * coarse
+    found = []
+    for cell, motions, own in zip(
+        cells, every, _integrand(known, cells, every, variable), strict=True
+    ):
+        sums = [(cell.high - cell.low) * weights @ own[:, 2:] for weights in (KRONROD[1], LOBATTO)]
+        found.append(_Looked(*sums, motions, own[:, 0], own[:, 1]))
+    return found
 
 
 def _integrand(
     known: KnownBranch, cells: list[_Cell], every: list[list[OnCurve]], variable: Variable
-) -> tuple[Float[np.ndarray, "cells points"], Float[np.ndarray, "cells points numbers"]]:
-    """What is integrated over the place, and what over it gives the derivatives."""
-    if not cells:
-        return np.zeros((0, len(KRONROD[0]))), np.zeros((0, len(KRONROD[0]), known.numbers))
-    shape = len(cells), len(every[0])
+) -> Float[np.ndarray, "cells points columns"]:
+    """Height and slope at motions of each cell, and what is integrated over the place.
+
+    The latter is one column for the area and one for each of its derivatives.
+    """
+    shape = len(cells), len(KRONROD[0])
     rows = known.around([m for own in every for m in own], means=variable.source in MEANS)
     at = variable.column
     source = np.array([row.value[at] for row in rows])
-    y, rate = jax.jvp(variable.rule, (source,), (np.ones_like(source),))
-    y, rate = np.asarray(y), np.asarray(rate)
+    y, rate = (np.asarray(a) for a in jax.jvp(variable.rule, (source,), (np.ones_like(source),)))
     w_along = np.array([row.along[PARAMETER] for row in rows])
     y_along = rate * np.array([row.along[at] for row in rows])
     w_moves = np.array([row.by_number[:, PARAMETER] for row in rows])
@@ -215,5 +247,5 @@ def _integrand(
     stretch = [c.between.stretch_at(m) for c, own in zip(cells, every, strict=True) for m in own]
     lengths = np.array(stretch)
     moved = y_moves * w_along[:, None] - y_along[:, None] * w_moves
-    area, slopes = lengths * y * w_along, lengths[:, None] * moved
-    return area.reshape(shape), slopes.reshape(*shape, -1)
+    columns = [y, lengths * y_along, lengths * y * w_along, *(lengths[:, None] * moved).T]
+    return np.stack(columns, axis=-1).reshape(*shape, -1)

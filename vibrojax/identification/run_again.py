@@ -129,7 +129,8 @@ def _argument(written: Source, name: str, value: Any) -> str:
 
 
 def _csv(columns: Mapping[str, np.ndarray]) -> str:
-    return pd.DataFrame(dict(columns)).to_csv(index=False)
+    # As Python writes numbers: numpy may have been told to write fewer digits.
+    return pd.DataFrame(dict(columns)).astype(object).to_csv(index=False)
 
 
 def _tried(text: str, name: str, files: Mapping[str, str], fit: Fit) -> str | None:

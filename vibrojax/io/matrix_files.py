@@ -166,7 +166,8 @@ def _abaqus(path: Path) -> Labelled:
 def _nastran(name: str, path: Path, wanted: str | None) -> Labelled:
     op4 = path.suffix.lower() == ".op4"
     try:
-        reader = importlib.import_module("pyyeti.nastran." + ("op4" if op4 else "bulk"))
+        with np.printoptions():  # which pyyeti changes for the whole process
+            reader = importlib.import_module("pyyeti.nastran." + ("op4" if op4 else "bulk"))
     except ImportError as error:
         raise ImportError(
             f"{name}: reading {path.name!r} needs pyyeti, which is not installed. Install it by "

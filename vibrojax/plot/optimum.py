@@ -210,13 +210,14 @@ def _draw_slice(axes: Axes, data: xarray.Dataset, name: str, is_first: bool) -> 
 
 def _draw_branches(axes: Axes, branches: Mapping[str, xarray.Dataset]) -> None:
     """Draw the branches of the first and of the best rig."""
-    axis = ""
+    last = list(branches.values())[-1]
+    axis = str(last.attrs["axis"])
+    reported = [name for name in ("mean_power", "voltage") if name in last]
+    shown = [*reported, "amplitude_ratio"][0]
     for name, branch in branches.items():
-        axis = str(branch.attrs["axis"])
         color, width = RIGS[name]
-        x, y, stable = (branch[key].values for key in (axis, "amplitude_ratio", "stable"))
+        x, y, stable = (branch[key].values for key in (axis, shown, "stable"))
         draw_stable(axes, x, y, stable, color=color, linewidth=width)
         axes.plot([], [], color=color, linewidth=width, label=f"{name} rig")
-    last = list(branches.values())[-1]
     axes.set_ylim(bottom=0.0)
-    name_axes(axes, label_for(last[axis]), balanced(label_for(last["amplitude_ratio"])))
+    name_axes(axes, label_for(last[axis]), balanced(label_for(last[shown])))

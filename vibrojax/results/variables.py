@@ -169,8 +169,11 @@ PARAMETER_UNITS = {
     "thickness": "m",
     "youngs_modulus": "Pa",
     "density": "kg/m3",
+    "resistance": "ohm",
+    "inductance": "H",
 }
-"""Units of the numbers of the default rig; other names are taken as given by the user."""
+"""Units of the numbers of the default rig and of a harvester's load; other names are taken as given
+by the user."""
 
 
 STATISTICS = {"max": "largest size", "mean": "mean", "rms": "RMS"}
