@@ -220,11 +220,10 @@ def _looked_at(known: KnownBranch, cells: list[_Cell], variable: Variable) -> li
             raise NoSuchPlace("Not all motions under the curve were found.")
         every.append([cell.ends[0], *inner, cell.ends[1]])
     found = []
-    for cell, motions, own in zip(
-        cells, every, _integrand(known, cells, every, variable), strict=True
-    ):
-        sums = [(cell.high - cell.low) * weights @ own[:, 2:] for weights in (KRONROD[1], LOBATTO)]
-        found.append(_Looked(*sums, motions, own[:, 0], own[:, 1]))
+    columns = _integrand(known, cells, every, variable)
+    for cell, motions, own in zip(cells, every, columns, strict=True):
+        sums = (cell.high - cell.low) * own[:, 2:]
+        found.append(_Looked(KRONROD[1] @ sums, LOBATTO @ sums, motions, own[:, 0], own[:, 1]))
     return found
 
 

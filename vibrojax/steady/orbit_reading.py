@@ -22,8 +22,10 @@ GRID = 128
 """Places per drive period at which a motion is looked at before its extremes are refined."""
 IN_CONTACT = 64
 """Further places in the time of contact."""
-FINE = 33
-"""Places around an extreme."""
+SHARES = np.linspace(0.0, 1.0, 17)
+"""Places between two neighbours of those, next to an extreme."""
+PEAKS = 3
+"""How many of the highest peaks of the force, as seen from these places, are looked at closely."""
 BREACH = 1e-8
 """Largest breach of the sequence of events, over the size of the motion."""
 
@@ -88,7 +90,7 @@ def segment_of(
 
 def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period: int) -> Reading:
     """Read amplitudes, forces and contact off a motion, and check that it keeps to its events."""
-    phases, stops = tables.phases, tables.phases.num_stops
+    stops = tables.phases.num_stops
     begin, whole = events.section, 2 * np.pi * period
     length = jnp.maximum(motion.stop - motion.start, 0.0)
     held = ((motion.phase[:, None] >> np.arange(stops)) & 1) == 1
@@ -102,59 +104,46 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
     share = (np.arange(IN_CONTACT) + 0.5) / IN_CONTACT * touched[-1]
     place = jnp.minimum(jnp.searchsorted(touched, share), touched.size - 1)
     inside = motion.stop[place] - (touched[place] - share)
-    angles = jnp.concatenate([angle, inside])
-    segment = jnp.concatenate([segment_of(motion, angle), place])
-    rows = look(tables, motion, segment, angles)
+    ends = jnp.arange(motion.start.size)
+    angles = jnp.concatenate([angle, inside, motion.start, motion.stop])
+    segment = jnp.concatenate([segment_of(motion, angle), place, ends, ends])
+    seen = look(tables, motion, segment, angles)
+    rows, angles, held_there = (
+        a[..., : grid + IN_CONTACT] for a in (seen, angles, held[segment].T)
+    )
     response = rows[3 * stops, :grid]
 
     # The extremes again, finely.
     width = whole / grid
-    force = _force(tables, rows, held[segment].T)
-    total = jnp.max(force, axis=0, initial=0.0)
-    centres = [angle[jnp.argmax(response)], angle[jnp.argmin(response)], angles[jnp.argmax(total)]]
-    free = jnp.where(held[segment].T, -jnp.inf, rows[:stops])
-    centres += [angles[jnp.argmax(free[s])] for s in range(stops)]
-    offsets = jnp.linspace(-width, width, FINE)
-    near = jnp.stack(centres)[:, None] + offsets
+    rate = rows[3 * stops + 1, :grid] * (width / tables.angular_frequency)
+    cells = (response, rate, jnp.roll(response, -1), jnp.roll(rate, -1))
+    lows = [jnp.argmax(cubic_maximum(*(sign * c for c in cells))) for sign in (1.0, -1.0)]
+    near = angle[jnp.stack(lows)][:, None] + width * SHARES
+    free = jnp.where(held_there, -jnp.inf, rows[:stops])
+    centres = [angles[jnp.argmax(free[s])] for s in range(stops)]
+    around = [centre + width * s for centre in centres for s in (SHARES - 1, SHARES)]
+    near = jnp.concatenate([near.reshape(-1), *around])
     near = begin + jnp.mod(near - begin, whole)
-    # With them the moments of touch, where the force of a stop with damping is largest.
-    places = motion.start.size
-    fine_segment = jnp.concatenate([segment_of(motion, near.reshape(-1)), jnp.arange(places)])
-    fine = look(tables, motion, fine_segment, jnp.concatenate([near.reshape(-1), motion.start]))
-    fine, at_start = fine[:, :-places], fine[:, -places:]
-    fine_segment = fine_segment[:-places]
-    held_there = held[fine_segment].T
-    fine_force = _force(tables, fine, held_there)
-    step = 2 * width / (FINE - 1) / tables.angular_frequency
+    highest_force = _ForceCells.of(tables, motion, held, place, inside, seen[:, grid:])
+    fine_segment = jnp.concatenate([segment_of(motion, near), highest_force.segments])
+    fine = look(tables, motion, fine_segment, jnp.concatenate([near, highest_force.angles]))
+    peak = jnp.maximum(
+        highest_force.largest(tables, fine[:, near.size :]),
+        jnp.max(_force(tables, rows, held_there), initial=0.0),
+    )
+    fine, fine_held = fine[:, : near.size], held[fine_segment[: near.size]].T
+    step = width / (SHARES.size - 1) / tables.angular_frequency
 
-    def top(
-        values: Float[Array, " all_places"],
-        slopes: Float[Array, " all_places"],
-        row: int,
-        mask: Bool[Array, " all_places"] | None = None,
-    ) -> Float[Array, ""]:
-        y, v = (a.reshape(len(centres), FINE)[row] for a in (values, slopes))
-        best = cubic_maximum(y[:-1], v[:-1] * step, y[1:], v[1:] * step)
-        if mask is not None:
-            whole_cell = mask.reshape(len(centres), FINE)[row]
-            best = jnp.where(whole_cell[:-1] & whole_cell[1:], best, 0.0)
-        return jnp.max(best)
+    def top(row: int, sign: float) -> Float[Array, ""]:
+        own = slice(row * SHARES.size, (row + 1) * SHARES.size)
+        y, v = sign * fine[3 * stops, own], sign * fine[3 * stops + 1, own] * step
+        return sign * jnp.max(cubic_maximum(y[:-1], v[:-1], y[1:], v[1:]))
 
-    value, rate = fine[3 * stops], fine[3 * stops + 1]
-    highest, lowest = top(value, rate, 0), -top(-value, -rate, 1)
-    peak = jnp.zeros(())
+    highest, lowest = top(0, 1.0), top(1, -1.0)
     breach = -jnp.inf * jnp.ones(())
     for s in range(stops):
-        k, c = phases.stiffness[s], phases.damping[s]
-        slope = k * fine[stops + s] + c * fine[2 * stops + s]
-        touching = held_there[s]
-        cell = top(fine_force[s], jnp.where(touching, slope, 0.0), 2, touching)
-        peak = jnp.maximum(jnp.maximum(peak, jnp.max(force[s])), cell)
-        breach = jnp.maximum(breach, jnp.max(_breach(tables, s, rows, held[segment].T[s])))
-        breach = jnp.maximum(breach, jnp.max(_breach(tables, s, fine, held_there[s])))
-    if stops:
-        long_enough = held & (length > 0)[:, None]
-        peak = jnp.maximum(peak, jnp.max(_force(tables, at_start, long_enough.T)))
+        breach = jnp.maximum(breach, jnp.max(_breach(tables, s, rows, held_there[s])))
+        breach = jnp.maximum(breach, jnp.max(_breach(tables, s, fine, fine_held[s])))
     if tables.driven is None:
         mean_square, harmonic = mean_square_and_harmonic(tables, motion, period)
     else:
@@ -188,13 +177,75 @@ def keeps_to_events(tables: Tables, reading: Reading) -> Bool[Array, ""]:
     return reading.ordered & ~(reading.breach > BREACH * size)
 
 
+class _ForceCells(NamedTuple):
+    """Ways in contact, from a place to the next, in which the force may be largest."""
+
+    angles: Float[Array, " places"]
+    """Places in these ways, those of one after those of the other."""
+    segments: Segments
+    held: Bool[Array, "stops cells"]
+    length: Float[Array, " cells"]
+
+    @classmethod
+    def of(
+        cls,
+        tables: Tables,
+        motion: PiecewiseMotion,
+        held: Bool[Array, "segments stops"],
+        place: Segments,
+        inside: Float[Array, " places"],
+        rows: Rows,
+    ) -> "_ForceCells":
+        """Choose those with the highest peaks of a cubic.
+
+        `rows` are of the places inside segments, then of the beginnings and ends of all segments:
+        where a stop has damping, the force may be largest at the moment of touch.
+        """
+        count, every = place.size, jnp.arange(motion.start.size)
+        first, last = count + every, count + every.size + every
+        before = jnp.where(jnp.diff(place, prepend=-1) > 0, first[place], np.arange(count) - 1)
+        # From the last place of a segment to its end: all of it where it has no place.
+        final = jnp.searchsorted(place, every, side="right") - 1
+        final = jnp.where((final >= 0) & (place[final] == every), final, first)
+        low, high = jnp.append(before, final), jnp.append(np.arange(count), last)
+        own = jnp.append(place, every)
+        angles = jnp.concatenate([inside, motion.start, motion.stop])
+        length = angles[high] - angles[low]
+        counts = held[own].T & (length > 0)
+        force, rate = _push(tables, rows)
+        rate = rate / tables.angular_frequency
+        top = cubic_maximum(
+            force[:, low], rate[:, low] * length, force[:, high], rate[:, high] * length
+        )
+        _, best = lax.top_k(jnp.max(jnp.where(counts, top, 0.0), axis=0, initial=0.0), PEAKS)
+        near = angles[low[best]][:, None] + length[best][:, None] * SHARES
+        return cls(
+            near.reshape(-1), jnp.repeat(own[best], SHARES.size), counts[:, best], length[best]
+        )
+
+    def largest(self, tables: Tables, rows: Rows) -> Float[Array, ""]:
+        """Return the largest force, N, from the rows at the places; 0 where none is positive."""
+        step = self.length / (SHARES.size - 1) / tables.angular_frequency
+        force, rate = (a.reshape(*self.held.shape, SHARES.size) for a in _push(tables, rows))
+        rate = rate * step[:, None]
+        top = cubic_maximum(force[..., :-1], rate[..., :-1], force[..., 1:], rate[..., 1:])
+        return jnp.max(jnp.where(self.held[..., None], top, 0.0), initial=0.0)
+
+
+def _push(
+    tables: Tables, rows: Rows
+) -> tuple[Float[Array, "stops places"], Float[Array, "stops places"]]:
+    """Force of each stop as if it were touched, N, and its rate, N/s."""
+    phases, stops = tables.phases, tables.phases.num_stops
+    depth, rate, bend = (rows[k * stops : (k + 1) * stops] for k in range(3))
+    k, c = phases.stiffness[:, None], phases.damping[:, None]
+    return k * depth + c * rate, k * rate + c * bend
+
+
 def _force(
     tables: Tables, rows: Rows, held: Bool[Array, "stops places"]
 ) -> Float[Array, "stops places"]:
-    phases, stops = tables.phases, tables.phases.num_stops
-    value = phases.stiffness[:, None] * rows[:stops]
-    value = value + phases.damping[:, None] * rows[stops : 2 * stops]
-    return jnp.where(held, value, 0.0)
+    return jnp.where(held, _push(tables, rows)[0], 0.0)
 
 
 def state_in(
