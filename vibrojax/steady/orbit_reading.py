@@ -194,7 +194,7 @@ class _ForceCells(NamedTuple):
         held: Bool[Array, "segments stops"],
         place: Segments,
         inside: Float[Array, " places"],
-        rows: Rows,
+        rows: Float[Array, "rows all_places"],
     ) -> "_ForceCells":
         """Choose those with the highest peaks of a cubic.
 
