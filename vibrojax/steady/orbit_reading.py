@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from vibrojax._tools.trigonometry import cosine_and_sine
 from vibrojax.steady.contact_times import Events, PiecewiseMotion, Tables, forced, moved_on
 from vibrojax.steady.exact_means import mean_square_and_harmonic
-from vibrojax.stepping.cubic import Cubic, cubic_between, cubic_maximum
+from vibrojax.stepping.cubic import Cubic, cubic_between, cubic_maximum, largest
 from vibrojax.stepping.phase_motion import driven_blocks, stop_push
 
 lax = jax.lax
@@ -117,8 +117,8 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
     width = whole / grid
     rate = rows[3 * stops + 1, :grid] * (width / tables.angular_frequency)
     cells = (response, rate, jnp.roll(response, -1), jnp.roll(rate, -1))
-    lows = [jnp.argmax(cubic_maximum(*(sign * c for c in cells))) for sign in (1.0, -1.0)]
-    near = angle[jnp.stack(lows)][:, None] + width * SHARES
+    chosen = [jnp.argmax(cubic_maximum(*(sign * c for c in cells))) for sign in (1.0, -1.0)]
+    near = angle[jnp.stack(chosen)][:, None] + width * SHARES
     free = jnp.where(held_there, -jnp.inf, rows[:stops])
     centres = [angles[jnp.argmax(free[s])] for s in range(stops)]
     around = [centre + width * s for centre in centres for s in (SHARES - 1, SHARES)]
@@ -127,17 +127,14 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
     highest_force = _ForceCells.of(tables, motion, held, place, inside, seen[:, grid:])
     fine_segment = jnp.concatenate([segment_of(motion, near), highest_force.segments])
     fine = look(tables, motion, fine_segment, jnp.concatenate([near, highest_force.angles]))
-    peak = jnp.maximum(
-        highest_force.largest(tables, fine[:, near.size :]),
-        jnp.max(_force(tables, rows, held_there), initial=0.0),
-    )
+    peak = highest_force.largest(tables, fine[:, near.size :])
     fine, fine_held = fine[:, : near.size], held[fine_segment[: near.size]].T
     step = width / (SHARES.size - 1) / tables.angular_frequency
 
     def top(row: int, sign: float) -> Float[Array, ""]:
         own = slice(row * SHARES.size, (row + 1) * SHARES.size)
         y, v = sign * fine[3 * stops, own], sign * fine[3 * stops + 1, own] * step
-        return sign * jnp.max(cubic_maximum(y[:-1], v[:-1], y[1:], v[1:]))
+        return sign * largest(cubic_maximum(y[:-1], v[:-1], y[1:], v[1:]))
 
     highest, lowest = top(0, 1.0), top(1, -1.0)
     breach = -jnp.inf * jnp.ones(())
@@ -225,11 +222,13 @@ class _ForceCells(NamedTuple):
 
     def largest(self, tables: Tables, rows: Rows) -> Float[Array, ""]:
         """Return the largest force, N, from the rows at the places; 0 where none is positive."""
+        if not self.held.size:
+            return jnp.zeros(())
         step = self.length / (SHARES.size - 1) / tables.angular_frequency
         force, rate = (a.reshape(*self.held.shape, SHARES.size) for a in _push(tables, rows))
         rate = rate * step[:, None]
         top = cubic_maximum(force[..., :-1], rate[..., :-1], force[..., 1:], rate[..., 1:])
-        return jnp.max(jnp.where(self.held[..., None], top, 0.0), initial=0.0)
+        return largest(jnp.where(self.held[..., None] & (top > 0), top, 0.0))
 
 
 def _push(
@@ -240,12 +239,6 @@ def _push(
     depth, rate, bend = (rows[k * stops : (k + 1) * stops] for k in range(3))
     k, c = phases.stiffness[:, None], phases.damping[:, None]
     return k * depth + c * rate, k * rate + c * bend
-
-
-def _force(
-    tables: Tables, rows: Rows, held: Bool[Array, "stops places"]
-) -> Float[Array, "stops places"]:
-    return jnp.where(held, _push(tables, rows)[0], 0.0)
 
 
 def state_in(

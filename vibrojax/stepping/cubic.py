@@ -71,7 +71,18 @@ def cubic_between(start: Values, start_slope: Values, end: Values, end_slope: Va
 def cubic_maximum(start: Values, start_slope: Values, end: Values, end_slope: Values) -> Values:
     """Maximum on [0, 1] of the cubic with these end values and end slopes."""
     _, peak = cubic_between(start, start_slope, end, end_slope).peak()
-    return jnp.maximum(jnp.maximum(start, end), peak)
+    higher = jnp.where(start > end, start, end)
+    return jnp.where(peak > higher, peak, higher)
+
+
+def largest(values: Values) -> Float[Array, ""]:
+    """Largest of all values, with the derivative of one that is.
+
+    That of `jnp.max` is NaN where XLA computes the values once more and rounds them otherwise: then
+    none of them equals the largest.
+    """
+    every = values.reshape(-1)
+    return every[jnp.argmax(every)]
 
 
 def quintic_maximum(
