@@ -21,7 +21,7 @@ if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 12):  # an unknown fl
 from jaxtyping import install_import_hook  # noqa: E402
 
 # Before anything imports vibrojax, so that all of it is checked.
-_hook = install_import_hook("vibrojax", "beartype.beartype")
+_hook = install_import_hook("vibrojax", "checked_when_called.checked")
 
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402

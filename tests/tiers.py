@@ -242,8 +242,16 @@ LONG = {
             "parameter_map_of_branches",
             "periodic_response_shot",
             "identify_a_history",
+            "check_resolution",
+            "parameter_map_with_gradients",
+            "parameter_map_of_periodic_responses",
+            "fold_response",
         )
     ),
+    "test_compare_laws": ("test_the_law_that_made_the_records_foretells_them_best",),
+    "test_experiment_design": ("test_measures_of_the_maps_are_near_the_exact_ones",),
+    "test_joined": ("test_periodic_responses_sweeps_and_branches_agree_with_scipy[beam]",),
+    "test_free_bodies": ("test_a_load_moves_the_gap[method1]",),
     "test_notebooks": (
         "test_runs_on_small_grids[02_what_the_stop_does]",
         "test_runs_on_small_grids[07_soft_support]",

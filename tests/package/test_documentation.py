@@ -24,7 +24,10 @@ def pages(*patterns):
     return sorted(path for pattern in patterns for path in ROOT.glob(pattern))
 
 
-LONG = {"docs/how_to/regimes.md", "docs/how_to/design.md"}
+LONG = {
+    f"docs/how_to/{page}.md"
+    for page in ("regimes", "design", "identification", "histories", "own_system", "harvesters")
+}
 """Pages whose code takes minutes, most of it compiling."""
 WITH_CODE = [page for page in pages("docs/**/*.md") if BLOCK.search(page.read_text())]
 LINKING = pages("*.md", "docs/**/*.md", "benchmarks/*.md", "experiments/*/*.md", "tests/data/*.md")
