@@ -228,7 +228,7 @@ class _ForceCells(NamedTuple):
         force, rate = (a.reshape(*self.held.shape, SHARES.size) for a in _push(tables, rows))
         rate = rate * step[:, None]
         top = cubic_maximum(force[..., :-1], rate[..., :-1], force[..., 1:], rate[..., 1:])
-        return largest(jnp.where(self.held[..., None] & (top > 0), top, 0.0))
+        return largest(jnp.where(self.held[..., None] & (top > 0), top, 0.0).reshape(-1))
 
 
 def _push(

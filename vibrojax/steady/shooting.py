@@ -18,7 +18,7 @@ from vibrojax.steady.implicit import frozen, with_columns
 from vibrojax.steady.methods import Shooting
 from vibrojax.steady.periodic_result import PeriodicResponse, Sampled, reading_of
 from vibrojax.stepping.choice import choose_stepper
-from vibrojax.stepping.cubic import cubic_maximum
+from vibrojax.stepping.cubic import cubic_maximum, largest
 
 SETTLING = 200
 """Drive periods marched from rest for a first guess."""
@@ -157,14 +157,14 @@ def _read(place: _Place, states: Any, steps_per_period: int, period: int) -> Sam
 
     response, rate, forces, touching = jax.vmap(at)(states)
     top = cubic_maximum(response[:-1], rate[:-1] * step, response[1:], rate[1:] * step)
-    low = -cubic_maximum(-response[:-1], -rate[:-1] * step, -response[1:], -rate[1:] * step)
+    low = cubic_maximum(-response[:-1], -rate[:-1] * step, -response[1:], -rate[1:] * step)
     y = response[:-1]
     angle = 2 * jnp.pi * jnp.arange(y.size) / steps_per_period
     touching = touching[:-1]
     entered = touching & ~jnp.roll(touching, 1, axis=0)
     return Sampled(
-        highest=jnp.max(top),
-        lowest=jnp.min(low),
+        highest=largest(top),
+        lowest=-largest(low),
         mean_square=jnp.mean(y**2),
         first_harmonic=2 * jnp.hypot(jnp.mean(y * jnp.sin(angle)), jnp.mean(y * jnp.cos(angle))),
         contact_force=jnp.max(forces, initial=0.0),

@@ -75,14 +75,13 @@ def cubic_maximum(start: Values, start_slope: Values, end: Values, end_slope: Va
     return jnp.where(peak > higher, peak, higher)
 
 
-def largest(values: Values) -> Float[Array, ""]:
-    """Largest of all values, with the derivative of one that is.
+def largest(values: Values) -> Values:
+    """Largest values along the last axis, with the derivatives of those that are.
 
-    That of `jnp.max` is NaN where XLA computes the values once more and rounds them otherwise: then
-    none of them equals the largest.
+    Those of `jnp.max` are NaN where XLA computes the values once more and rounds them otherwise:
+    then none of them equals the largest.
     """
-    every = values.reshape(-1)
-    return every[jnp.argmax(every)]
+    return jnp.take_along_axis(values, jnp.argmax(values, -1, keepdims=True), -1)[..., 0]
 
 
 def quintic_maximum(
