@@ -28,11 +28,15 @@ SLOW = {
         "test_derivatives_of_the_velocity_after_the_bounce",
         "test_a_loaded_pair_moves_about_where_it_rests",
     ),
-    "test_cli": ("test_sweep_of_the_default_rig",),
+    "test_cli": (
+        "test_sweep_of_the_default_rig",
+        "test_sweep_of_a_file_in_hertz",
+    ),
     "test_linearly_implicit": (
         "test_march_is_the_history_and_lanes_do_not_matter",
         "test_single_mass_converges_to_the_exact_motion",
         "test_other_laws_agree_with_kvaerno5",
+        "test_steps_too_long_for_the_damping_are_refused",
     ),
     "test_contact_laws": (
         "test_histories_agree_with_scipy_and_with_other_solvers",
@@ -43,6 +47,10 @@ SLOW = {
         "test_a_lane_that_blows_up_leaves_its_neighbours_alone",
         "test_mirrored_rig_moves_mirrored",
         "test_stops_on_either_side",
+        "test_period_of_an_undamped_mass",
+        "test_overdamped_single_mass",
+        "test_restitution_of_a_kelvin_voigt_stop",
+        "test_elastic_stop_keeps_the_energy",
     ),
     "test_map_interrupted": (
         "test_death_before_any_change_of_the_files_is_mended_by_the_same_call",
@@ -76,14 +84,21 @@ SLOW = {
         "test_derivative_follows_the_shift",
         "test_nonsense_lane_leaves_its_neighbour_alone",
     ),
-    "test_periodic_response": ("test_points_of_the_reference",),
+    "test_periodic_response": (
+        "test_points_of_the_reference",
+        "test_systems_that_are_not_linear_are_shot",
+    ),
     "test_resolution": ("test_a_motion_without_contact_has_no_change_of_its_force",),
-    "test_map_store": ("test_a_lock_ends_with_its_process",),
+    "test_map_store": (
+        "test_a_lock_ends_with_its_process",
+        "test_a_lock_left_in_a_complete_store_is_removed",
+    ),
     "test_simulate_lists": (
         "test_new_numbers_do_not_compile_again",
         "test_every_lane_is_that_of_a_single_call",
         "test_initial_states_and_a_chirp",
         "test_sampling_rate",
+        "test_a_function_without_a_list_gives_one_history",
     ),
     "test_identify": (
         "test_a_curve_without_contact_is_refused",
@@ -121,11 +136,19 @@ SLOW = {
         "test_chirp_of_equal_ends_is_the_harmonic",
         "test_chirp_matches_an_adaptive_solver",
         "test_an_undamped_mode_turns_at_its_own_frequency",
+        "test_any_implicit_solver_runs",
+        "test_spectrum_reads_the_amplitude_of_a_sine",
+        "test_rates_and_accelerations_are_derivatives",
     ),
-    "test_contacts": ("test_releases_agree_with_the_reference",),
+    "test_contacts": (
+        "test_releases_agree_with_the_reference",
+        "test_kelvin_voigt_returns_what_its_closed_form_says",
+    ),
     "test_resonance": (
         "test_histories_at_resonance_match_an_adaptive_solver",
         "test_with_a_stop_the_motion_is_computed",
+        "test_a_sweep_says_what_grows_without_bound_and_does_not_march_it",
+        "test_only_undamped_driven_modes_that_no_stop_holds_grow_without_bound",
     ),
     "test_condensed": ("test_condensed_solution_solves_the_linearised_balance",),
     "test_explore": (
@@ -135,7 +158,10 @@ SLOW = {
     ),
     "test_map_identity": ("test_chunks_of_corrected_lanes_and_only_they_are_computed_again",),
     "test_frequency_sweep": ("test_axes_equal_one_by_one", "test_point_force"),
-    "test_lyapunov": ("test_linear_oscillator_decays_at_its_damping",),
+    "test_lyapunov": (
+        "test_linear_oscillator_decays_at_its_damping",
+        "test_chaotic_motion_has_a_positive_exponent_beyond_its_error",
+    ),
     "test_single_contact": ("test_picture", "test_folds_on_the_grid"),
     "test_compiling": tuple(
         f"test_nothing_compiles_again[{study}]"
@@ -191,27 +217,40 @@ SLOW = {
         "test_a_force_that_jumps_makes_a_corner",
         "test_stiff_stops_are_where_sweeps_settle",
         "test_a_walk_does_not_turn_round_at_a_touch",
+        "test_special_points_do_not_depend_on_range_and_step",
     ),
     "test_following": (
         "test_where_a_motion_doubles_its_period_the_sweep_does",
         "test_means_are_exact",
         "test_two_stops_are_followed_too",
+        "test_it_is_the_sweep_that_marches_to_every_point",
     ),
     "test_jumps_at_folds": (
         "test_lanes_do_not_depend_on_their_neighbours",
         "test_none_is_found_that_lies_too_far_or_the_other_way",
+        "test_it_is_the_fold_of_the_branch_on_any_grid",
     ),
     "test_gauge": (
         "test_extremes_do_not_depend_on_how_finely_it_is_measured",
         "test_a_march_with_measures_goes_the_same_way",
         "test_measures_have_forward_derivatives",
+        "test_more_stretches_than_there_is_room_for_at_once",
     ),
     "test_rig_file": ("test_settings_go_into_a_sweep",),
     "test_matrix_system": ("test_free_decay_with_a_dashpot_through_a_contact",),
     "test_cache": (
         "test_broken_files_are_as_good_as_none",
         "test_a_cache_of_jax_that_the_user_has_set_is_left_alone",
+        "test_two_processes_at_once_agree",
+        "test_an_impossible_folder_is_one_warning",
     ),
+    "test_internal_states": (
+        "test_modes_that_neither_stop_nor_response_see_are_internal_states",
+        "test_stops_that_relax_march_as_scipy_integrates_them",
+    ),
+    "test_restitution": ("test_derivatives",),
+    "test_joined": ("test_states_places_and_what_modes_leave_out",),
+    "test_excitation": ("test_phases_lead_the_drive",),
 }
 """By file: tests of several seconds."""
 
