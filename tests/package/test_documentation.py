@@ -26,7 +26,10 @@ def pages(*patterns):
 
 LONG = {
     f"docs/how_to/{page}.md"
-    for page in ("regimes", "design", "identification", "histories", "own_system", "harvesters")
+    for page in (
+        *("regimes", "design", "identification", "histories", "own_system", "harvesters"),
+        *("sweeps_and_branches", "maps", "contact_laws"),
+    )
 }
 """Pages whose code takes minutes, most of it compiling."""
 WITH_CODE = [page for page in pages("docs/**/*.md") if BLOCK.search(page.read_text())]
