@@ -190,23 +190,20 @@ def _pieces(known: KnownBranch, cell: _Cell, looked: _Looked) -> list[_Cell]:
     places = cell.low + (KRONROD[0] + 1) / 2 * (cell.high - cell.low)
     step, bend = np.diff(places), np.diff(looked.slope)
     sharp = np.abs(bend / step)
-    k, middle = int(np.argmax(sharp)), len(places) // 2
-    inside = 0.5
-    if sharp[k] > CORNER * np.median(sharp):
+    k, last = int(np.argmax(sharp)), len(places) - 1
+    is_corner = sharp[k] > CORNER * np.median(sharp)
+    kept = sorted({0, k, k + 1, last}) if is_corner else [0, last // 2, last]
+    ends = [(float(places[i]), looked.motions[i]) for i in kept]
+    if is_corner:
         # Where the tangents at both points meet.
         rise = looked.height[k + 1] - looked.height[k]
         inside = (looked.slope[k + 1] * step[k] - rise) / (bend[k] * step[k])
-        kept = [0, k, k + 1, len(places) - 1]
-    else:
-        kept = [0, middle, len(places) - 1]
-    ends = [(float(places[i]), looked.motions[i]) for i in dict.fromkeys(kept)]
-    if len(kept) == 4 and 0.0 < inside < 1.0:
-        corner = float(places[k] + inside * step[k])
-        ((motion,),) = known.run([cell.between.at_each([corner])])
-        if motion is None:
-            raise NoSuchPlace("Not all motions under the curve were found.")
-        ends.append((corner, motion))
-        ends.sort(key=lambda end: end[0], reverse=cell.high < cell.low)
+        if 0.0 < inside < 1.0:
+            corner = float(places[k] + inside * step[k])
+            ((motion,),) = known.run([cell.between.at_each([corner])])
+            if motion is None:
+                raise NoSuchPlace("Not all motions under the curve were found.")
+            ends.insert(kept.index(k + 1), (corner, motion))
     return [_Cell(cell.between, a, b, (m, n)) for (a, m), (b, n) in pairwise(ends)]
 
 

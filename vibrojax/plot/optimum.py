@@ -212,8 +212,7 @@ def _draw_branches(axes: Axes, branches: Mapping[str, xarray.Dataset]) -> None:
     """Draw the branches of the first and of the best rig."""
     last = list(branches.values())[-1]
     axis = str(last.attrs["axis"])
-    reported = [name for name in ("mean_power", "voltage") if name in last]
-    shown = [*reported, "amplitude_ratio"][0]
+    shown = next(name for name in ("mean_power", "voltage", "amplitude_ratio") if name in last)
     for name, branch in branches.items():
         color, width = RIGS[name]
         x, y, stable = (branch[key].values for key in (axis, shown, "stable"))

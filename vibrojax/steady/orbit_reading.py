@@ -127,7 +127,7 @@ def read_motion(tables: Tables, events: Events, motion: PiecewiseMotion, period:
     highest_force = _ForceCells.of(tables, motion, held, place, inside, seen[:, grid:])
     fine_segment = jnp.concatenate([segment_of(motion, near), highest_force.segments])
     fine = look(tables, motion, fine_segment, jnp.concatenate([near, highest_force.angles]))
-    peak = highest_force.largest(tables, fine[:, near.size :])
+    peak = highest_force.peak(tables, fine[:, near.size :])
     fine, fine_held = fine[:, : near.size], held[fine_segment[: near.size]].T
     step = width / (SHARES.size - 1) / tables.angular_frequency
 
@@ -220,7 +220,7 @@ class _ForceCells(NamedTuple):
             near.reshape(-1), jnp.repeat(own[best], SHARES.size), counts[:, best], length[best]
         )
 
-    def largest(self, tables: Tables, rows: Rows) -> Float[Array, ""]:
+    def peak(self, tables: Tables, rows: Rows) -> Float[Array, ""]:
         """Return the largest force, N, from the rows at the places; 0 where none is positive."""
         if not self.held.size:
             return jnp.zeros(())
