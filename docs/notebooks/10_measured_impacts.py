@@ -106,7 +106,7 @@ bottomed.plot()
 # This pad bottoms out: one or two samples stand far above the others where the cart is deepest, and
 # a spring cannot do that. The numbers are still printed, with intervals. They describe nothing.
 #
-# ## What the data cannot tell
+# ## What the data do not determine
 # Let the mass be fitted too. A heavier and slower cart on a stiffer pad makes the very same force:
 
 # %%

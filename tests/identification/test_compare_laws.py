@@ -103,7 +103,7 @@ def test_it_is_said_when_no_law_explains_the_records_and_which_are_alike():
     first, alike = bad.warnings
     assert first.startswith("None of the laws explains the records: with the best, hertz")
     # Misfits that all share count for little: chi-square over the least reduced one.
-    assert alike.endswith("do not tell hertz from stiff.")
+    assert alike.endswith("do not distinguish hertz from stiff.")
     assert bad.to_xarray()["record"].values.tolist() == ["run 1", "2"]
     good = compared(("hertz", (100.0, 1), ()), ("stiff", (60.0, 2), ()))
     assert (good.best, good.warnings) == ("stiff", ())

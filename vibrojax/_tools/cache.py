@@ -61,7 +61,7 @@ def maker() -> str:
 
 
 def _processor() -> str:
-    """The processor's instructions, as far as the system tells: programs are made for them."""
+    """The processor's instructions, as far as the system says: programs are made for them."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith(("flags", "Features")):

@@ -13,7 +13,7 @@ ACCURATE = 1e-9
 COLLAPSED = 0.1
 """Share of its duration below which a pair is taken to have vanished."""
 BOUNCED = 1.5
-"""By how much a pair may come to last longer where it was about to vanish."""
+"""By how much a pair may last longer where it was about to vanish."""
 SWELLED = 0.05
 """Least relative change of a contact's duration from which it is told whether the curve turned."""
 FARTHEST = 0.16

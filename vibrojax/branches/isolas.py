@@ -152,7 +152,7 @@ def _passed(walk: Walk, start: OnCurve, way: float) -> Steps:
 def _solved(
     plan: Plan, rigs: CurveRigs, candidates: list[Candidate]
 ) -> list[tuple[float, np.ndarray, dict[str, Any]]]:
-    """Solve for motions near candidates: their values, states, and what tells them apart."""
+    """Solve for motions near candidates: their values, states, and what distinguishes them."""
     if not candidates:
         return []
     (search,) = rigs.searches(candidates[0][0], plan.scale)

@@ -1,4 +1,4 @@
-"""What a branch tells of its motions."""
+"""What a branch says of its motions."""
 
 import jax
 import jax.numpy as jnp

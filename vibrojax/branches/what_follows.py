@@ -1,4 +1,4 @@
-"""What comes behind the points where a branch loses its stability: a short march tells."""
+"""What the system does behind points where a branch loses stability, seen by a short march."""
 
 from dataclasses import replace
 
@@ -94,7 +94,7 @@ def _marched(
     values: Float[np.ndarray, " marches"],
     states: Float[np.ndarray, "marches states"],
 ) -> list[str]:
-    """March from next to unstable motions of some branches, and say what is come to."""
+    """March from next to unstable motions of some branches, and say what they lead to."""
     exact, period = branches[0].exact, branches[0].period
     paths = jax.tree.map(lambda *a: np.concatenate(a), *(jax.device_get(b.path) for b in branches))
 

@@ -107,7 +107,7 @@ def write(writers: Mapping[Path | None, Callable[[Path], object]]) -> list[Path]
 
 
 def watch_compilation() -> Callable[[], float]:
-    """Return what tells in how many seconds from now on something was compiled."""
+    """Return a function that says in how many seconds from now on something was compiled."""
     import jax.monitoring
 
     spans: list[tuple[float, float]] = []

@@ -261,7 +261,7 @@ def _way(known: KnownBranch, k: int, motion: OnCurve) -> float:
 
 
 def _is_stable(known: KnownBranch, a: Knot, b: Knot) -> bool:
-    """Whether the motions between two knots are stable, by those of their points that tell."""
+    """Whether the motions between two knots are stable, by those of their points whose stability is known."""
     points, stable = known.walk.points, known.branch.stable
     touch = touch_in(known.walk.touches, a.cell)
     told = []

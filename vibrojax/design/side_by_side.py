@@ -1,8 +1,8 @@
 """Searches of scipy, side by side: what all of them ask for is evaluated as one batch.
 
 Each search is a thread that minimises by `scipy.optimize.minimize` and stops wherever it asks for a
-design (`_tools/gathered.py`). An interrupt, or an error of the evaluation, comes to the caller; the
-searches hear of it, and each returns the best that it has come to.
+design (`_tools/gathered.py`). An interrupt, or an error of the evaluation, is raised to the caller; the
+searches end, and each returns the best design that it has found.
 """
 
 import warnings
@@ -24,7 +24,7 @@ FAILED = 1e3
 STRIDE = 0.1
 """Length of the first step of a search, over the range of a variable."""
 AGAIN = 3
-"""How often a search that is stuck begins afresh from where it has come to."""
+"""How often a search that is stuck begins afresh from its best design."""
 SHORTER, SHORTENED, PATIENCE = 0.6, 5, 12
 """SLSQP is stuck, at a kink, where it shortens a step to this so many times without making anything
 better, or where so many designs do not."""
@@ -33,7 +33,7 @@ GAIN = 1000.0
 INSIDE = 1e-3
 """How far from the bounds a search of trust-constr begins, which stays between them."""
 SCIPY = (".*outside bounds during a minimize step", "delta_grad == 0.0", "Singular Jacobian")
-"""Beginnings of warnings of scipy that tell a user nothing here."""
+"""Beginnings of warnings of scipy that are of no use to a user here."""
 
 
 class End(NamedTuple):
@@ -219,7 +219,7 @@ class _Search:
         slope = trial.slopes[k] / self.goal.spread[k]
         if not np.isfinite(slope).all():
             why = f": {trial.note}" if trial.note else "."
-            raise _Over("no slope", f"A function has no derivative where it has come to{why}")
+            raise _Over("no slope", f"A function has no derivative at the best design{why}")
         return slope
 
     def _cost_slope(self, place: Float[np.ndarray, " numbers"]) -> np.ndarray:
@@ -271,7 +271,7 @@ def search_side_by_side(
         return dict(zip(asked, found, strict=True))
 
     with _without_advice_of_scipy(), suppress(KeyboardInterrupt):
-        # After an interrupt the searches say what they have come to.
+        # After an interrupt the searches return their best designs.
         for search in gathered([partial(run, k) for k in range(len(starts))], answer):
             search.result()
     return [ends[k] for k in range(len(starts))]

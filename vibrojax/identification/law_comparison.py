@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 AS_GOOD = 2.0
-"""Difference of Akaike's criterion within which data do not tell laws apart (Burnham and
+"""Difference of Akaike's criterion within which data do not distinguish laws (Burnham and
 Anderson 2002, sec. 2.6)."""
 
 
@@ -85,7 +85,7 @@ class LawComparison:
         alike = [n for n, v in akaike.items() if n != best and v < akaike[best] + AS_GOOD]
         if alike:
             found.append(
-                f"By their criteria the records do not tell {best} from {', '.join(alike)}."
+                f"By their criteria the records do not distinguish {best} from {', '.join(alike)}."
             )
         return tuple(found)
 

@@ -12,7 +12,7 @@ MOST_RECORDS = 5
 
 
 def plot_laws(laws: xarray.Dataset, predictions: Mapping[str, Sequence[xarray.Dataset]]) -> Figure:
-    """Draw the force of every record (up to five) with each law, and what tells the laws apart."""
+    """Draw the force of every record (up to five) with each law, and what distinguishes the laws."""
     names = [str(name) for name in laws["law"].values]
     count = len(predictions[names[0]])
     records = min(count, MOST_RECORDS)

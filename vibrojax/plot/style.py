@@ -44,7 +44,7 @@ COLORS = {
     "forward": "#0060a8",
     "backward": "#d1590a",
 }
-"""Colours that the colour-blind can tell. Source: Okabe and Ito 2008, two of them darker."""
+"""Colours that the colour-blind can distinguish. Source: Okabe and Ito 2008, two of them darker."""
 GREY = COLORS["grey"]
 SERIES = tuple(
     COLORS[n] for n in ("blue", "amber", "green", "pink", "sky", "orange", "yellow", "pale")

@@ -349,7 +349,7 @@ def _advanced(
 def advance(
     march: LaneTable, tracks: LaneTable, angular_frequency: Float[AnyArray, " lanes"]
 ) -> LaneTable:
-    """Solve for the motions of lanes at the frequencies they come to next.
+    """Solve for the motions of lanes at their next frequencies.
 
     Returns `Track` and `Followed` of all.
     """

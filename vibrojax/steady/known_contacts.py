@@ -25,7 +25,7 @@ Phase = Int[Array, " lanes"]
 
 
 class Peak(NamedTuple):
-    """How near a stop comes to a change of contact that does not happen."""
+    """Nearest that a stop gets to a change of contact that does not happen."""
 
     height: Float[Array, " lanes"]
     """What would have to pass zero, m; negative where contact stays as it is."""
@@ -36,7 +36,7 @@ class Peak(NamedTuple):
 
 
 class Passage(NamedTuple):
-    """Where lanes come to, and how that depends on where they begin."""
+    """Ends of lanes, and their derivatives by the beginnings."""
 
     blocks: Float[Array, "2 blocks lanes"]
     phase: Int[Array, " lanes"]

@@ -60,7 +60,7 @@ class Onwards(NamedTuple):
     """rad/s; of no meaning where a lane is not active any more."""
     state: Float[np.ndarray, "lanes states"]
     goes_on: Bool[np.ndarray, " lanes"]
-    """Whether a lane goes on from the motion it has come to; else, again from the one before."""
+    """Whether a lane goes on from its last motion; else, again from the one before."""
 
 
 class LanePool:
@@ -110,7 +110,7 @@ class LanePool:
         self.period, self.wanted = np.zeros((2, count), np.int32)
         """Period found, and the one that Newton's method is to try."""
         self.tracks, self.tracks_before = (no_tracks(count, self.state.shape[1]) for _ in range(2))
-        """The motion that a lane has come to, and the one that it came from."""
+        """The last motion of a lane, and the one before."""
         self.track: Any = self.tracks.columns()
         self.stride, self.least_stride = np.zeros((2, count))
         """Way (rad/s) that is tried next, and at the least, before a lane is marched."""
@@ -231,7 +231,7 @@ class LanePool:
         """Follow lanes towards their frequencies; what arrives is to be read.
 
         Motions that are not known well yet are solved for where they are. Where a step fails it is
-        halved, and at last the lane is marched from where it has come to.
+        halved, and at last the lane is marched from its last motion.
         """
         n, known, here = len(own), self.track.known[lanes] > 0, self.track.frequency[lanes, 0]
         left = self.frequency[lanes] - here

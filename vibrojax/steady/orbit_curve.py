@@ -51,7 +51,7 @@ class Condition(NamedTuple):
     times: Times
     parameter: Lane
     height: Lane
-    """Factor of how near the stop of the peak comes to a change of contact, m."""
+    """Factor of the distance of the peak's stop from a change of contact, m."""
     value: Lane
 
 
@@ -74,7 +74,7 @@ class Try(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What Newton's method comes to."""
+    """What Newton's method finds."""
 
     state: States
     times: Times
@@ -131,7 +131,7 @@ class _Rigs:
         return self.tries.unit * at.loop.state_of(blocks, phase, angle / at.frequency)
 
     def passed(self, parameter: Lane, state: States, times: Times):
-        """Where the motion comes to over its period, and how that depends on all unknowns."""
+        """End of the motion after its period, and its derivatives by all unknowns."""
 
         first, unit = self.tries.events.first_phase, self.tries.unit
 

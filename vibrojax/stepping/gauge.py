@@ -95,7 +95,7 @@ def no_stretches(blocks: Float[Array, "2 blocks *lanes"]) -> Stretches:
 class Gauge:
     """Tables that stay fixed while lanes are measured.
 
-    `grown` tells what a drive in resonance adds to blocks of a phase that turn from a drive time
+    `grown` returns what a drive in resonance adds to blocks of a phase that turn from a drive time
     on for some times, all s; it is asked only where `resonant` says so.
     """
 

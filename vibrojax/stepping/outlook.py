@@ -328,7 +328,7 @@ def outlook_of(phases: ContactPhases, force: Forcing, turning: Turning) -> Outlo
     w, signals = force.angular_frequency, contact_signals(phases, force)
     value = signals.rows.reshape(*signals.rows.shape[:2], 2, -1, *w.shape)
     driven = force.driven.reshape(force.driven.shape[0], 2, -1, *w.shape)
-    # Blocks turn: what goes into one row of them comes to be read by the other.
+    # Blocks turn: what goes into one row of them is read by the other later.
     size, push = (
         jnp.sqrt(jnp.sum(jnp.abs(lax.stop_gradient(a)) ** 2, axis=-2 - w.ndim))
         for a in (value, driven)

@@ -21,7 +21,7 @@ class AbstractRun(ABC):
 
     @abstractmethod
     def go_on(self, lanes: Any, live: Which) -> tuple[Any, Which]:
-        """Take live lanes further; also which of them have come to the end of their period."""
+        """Take live lanes further; also which of them have reached the end of their period."""
 
     @abstractmethod
     def arrived_at(self, lanes: Any) -> tuple[States, Counts]:
