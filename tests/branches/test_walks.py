@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 
 import vibrojax as vj
-from vibrojax.branches import contacts
+from vibrojax.branches import contacts, walking
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import OnCurve
 
@@ -186,7 +186,7 @@ def test_touches_of_stiff_stops_where_the_curve_turns_sharply():
 
 def test_a_hairpin_within_a_step_is_seen():
     """A contact lasts longer at the next motion, whose rates say that it gets shorter."""
-    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True)
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
     known = contacts.Contacts((0, 0), 0, 0.0)
 
     def motion(lasts, rate):
@@ -219,6 +219,40 @@ def test_a_touch_just_before_the_end_of_the_range():
     assert branch.completed
     assert branch.grazings == pytest.approx([touch], rel=1e-12)
     assert branch.values.max() == touch * (1 + 1e-5)
+
+
+def test_touches_that_cannot_be_passed_are_leapt_over(monkeypatch):
+    rig, bounds = vj.default_rig(num_modes=1), vj.Range(0.9, 1.3)
+    known = vj.continue_response(rig, frequency_ratio=bounds)
+
+    def fails(*_):
+        return None
+        yield
+
+    monkeypatch.setattr(walking, "touch_between", fails)
+    monkeypatch.setattr(walking, "vanish", fails)
+    branch = vj.continue_response(rig, frequency_ratio=bounds)
+    assert branch.completed
+    leaps = [p for p in branch.special_points if p.kind == "contact_change"]
+    assert len(leaps) == known.grazings.size > 0
+    assert not any(p.refined for p in leaps)
+    np.testing.assert_allclose(sorted(p.parameter for p in leaps), np.sort(known.grazings), 1e-3)
+    np.testing.assert_allclose(branch.folds, known.folds, rtol=1e-9)
+    behind = [branch.values[p.after : p.after + 2].mean() for p in leaps]
+    values = np.append(np.linspace(0.95, 1.25, 7), behind)
+    own, other = (b.resample(values)["amplitude_ratio"].values for b in (branch, known))
+    np.testing.assert_allclose(np.sort(own), np.sort(other), rtol=1e-8)
+
+
+@pytest.mark.slow
+def test_contacts_that_a_march_from_afar_misses_are_looked_at_from_near():
+    """Of a stop of p0 = 10^8: what is off before a shallow contact grows beyond its depth."""
+    law = vj.KelvinVoigt.from_restitution(0.7, stiffness=1e8, mass=1.0)
+    stop = vj.Stop(None, 1.0, law)
+    system = vj.model.Oscillator(1.0, 1.0, 0.1, stops=stop, drive=vj.PointForce(1.0))
+    branch = vj.continue_response(system, frequency=vj.Range(0.4 / TURN, 2.2 / TURN))
+    assert branch.completed
+    assert all(p.refined for p in branch.special_points if p.kind == "contact_change")
 
 
 def test_a_motion_that_touches_from_the_start():
@@ -263,5 +297,6 @@ def test_pairs_come_and_go():
     fewer, left = contacts.without(more, met, [found])
     assert fewer == known
     np.testing.assert_array_equal(left, times)
-    assert contacts.same(fewer, left, known, times)
+    assert contacts.same(fewer, left, known, times, 1e-4)
+    assert not contacts.same(fewer, left + 1e-5, known, times, 1e-6)
     assert contacts.new_pairs(known, times, more._replace(first_phase=1), met) is None

@@ -1,18 +1,14 @@
 """Where the walk along a curve begins: free flight, or what opening all gaps leads to."""
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.branches.contacts import Contacts, best_section
 from vibrojax.branches.continuation import Ending
-from vibrojax.branches.curve_search import ACCURATE, CurveSearch
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Steps, at_value, fits
+from vibrojax.branches.curve_search import FREE, CurveSearch
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Steps, at_value
 from vibrojax.branches.walking import FIRST, Walk
 from vibrojax.stepping.contact_phases import ContactPhases
 
-FREE = Contacts((), 0, 0.0)
 WIDER = 1.05
 """How far gaps are opened, over what it takes to touch none."""
 TRIES = 6
@@ -26,30 +22,6 @@ def free_flight(search: CurveSearch, value: float) -> Steps:
         return None, False
     (seen,) = yield Look([found])
     return found, not seen.contacts.stops and seen.contacts.first_phase == 0
-
-
-def motion_near(search: CurveSearch, state: Float[np.ndarray, " states"], value: float) -> Steps:
-    """Solve for the motion near a state (in units of energy) at drive phase 0; None for none."""
-    nothing, n = np.zeros(0), len(state)
-    guess = OnCurve(FREE, nothing, state, value, 0 * state, nothing, 0.0, np.eye(n))
-    for _ in range(TRIES):
-        (seen,) = yield Look([guess])
-        if not seen.fits:
-            return None
-        contacts, times = seen.contacts, seen.times
-        met = replace(guess, contacts=contacts, times=times, times_along=0 * times)
-        section = best_section(contacts, times, search.whole)
-        contacts, times, state, _ = yield from search.from_phase(met, section)
-        guess = replace(met, contacts=contacts, times=times, state=state)
-        found = yield at_value(contacts, times, state, value)
-        if not np.isfinite(found.error):
-            return None
-        if search.is_sound(found) and found.error <= ACCURATE:
-            (seen,) = yield Look([found])
-            if fits(found, seen):
-                return found
-        guess = found
-    return None
 
 
 def reach(
@@ -97,7 +69,7 @@ def doubled(search: CurveSearch, single: OnCurve) -> Steps:
         )
         if found is not None and search.is_sound(found):
             (seen,) = yield Look([found])
-            if fits(found, seen):
+            if search.fits(found, seen):
                 return found if odd @ found.state_along > 0 else found.reversed()
         step /= 3
     return None

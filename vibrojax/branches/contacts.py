@@ -9,8 +9,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 TURN = 2 * np.pi
-SAME = 1e-4
-"""Drive angle, rad, that a march may be off where a motion is unstable."""
 
 
 class Contacts(NamedTuple):
@@ -159,8 +157,10 @@ def new_pairs(
     return found
 
 
-def same(contacts: Contacts, times: Times, met: Contacts, met_times: MetTimes) -> bool:
-    """Whether a march met just the contacts of a sequence, and when it should."""
+def same(
+    contacts: Contacts, times: Times, met: Contacts, met_times: MetTimes, within: float
+) -> bool:
+    """Whether a march met just the contacts of a sequence, and when it should (rad)."""
     if contacts.stops != met.stops or contacts.first_phase != met.first_phase:
         return False
-    return bool(np.max(np.abs(times - met_times), initial=0.0) < SAME)
+    return bool(np.max(np.abs(times - met_times), initial=0.0) < within)

@@ -5,8 +5,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.branches.contacts import at_section, best_section, is_close, is_ordered, pairs
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Steps
+from vibrojax.branches.contacts import (
+    Contacts,
+    at_section,
+    best_section,
+    is_close,
+    is_ordered,
+    pairs,
+    same,
+    without,
+)
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, at_value
+
+FREE = Contacts((), 0, 0.0)
 
 ACCURATE = 1e-9
 """Largest last correction of a motion that counts as solved for."""
@@ -18,6 +29,8 @@ SWELLED = 0.05
 """Least relative change of a contact's duration from which it is told whether the curve turned."""
 FARTHEST = 0.16
 """Farthest in arclength that a tangent is followed for a guess."""
+TRIES = 6
+"""Marches by which the contacts of a motion near a state are found."""
 
 
 @dataclass
@@ -32,6 +45,9 @@ class CurveSearch:
     """Drive phase, rad, of a period of the motion."""
     smooth: bool
     """Whether the curve has no corner at a touch: the force of no stop jumps there for good."""
+    brief: float
+    """Drive angle, rad, of a contact that may be too shallow for a march to count, and that a march
+    may be off where a motion is unstable."""
     asked: int = 0
     """Motions that were solved for."""
 
@@ -68,9 +84,52 @@ class CurveSearch:
         found = yield ask
         return found if found.error <= ACCURATE else None
 
+    def near(
+        self, state: Float[np.ndarray, " states"], value: float, section: float = 0.0
+    ) -> Steps:
+        """Solve for the motion near a state at a drive phase, at a value; None where there is none.
+
+        Nothing has to be known of its contacts: marches find them.
+        """
+        nothing = np.zeros(0)
+        free = FREE._replace(section=section)
+        guess = OnCurve(free, nothing, state, value, 0 * state, nothing, 0.0, np.eye(len(state)))
+        for _ in range(TRIES):
+            (seen,) = yield Look([guess])
+            if not seen.fits:
+                return None
+            contacts, times = seen.contacts, seen.times
+            met = replace(guess, contacts=contacts, times=times, times_along=0 * times)
+            section = best_section(contacts, times, self.whole)
+            contacts, times, state, _ = yield from self.from_phase(met, section)
+            guess = replace(met, contacts=contacts, times=times, state=state)
+            found = yield at_value(contacts, times, state, value)
+            if not np.isfinite(found.error):
+                return None
+            if self.is_sound(found) and found.error <= ACCURATE:
+                (seen,) = yield Look([found])
+                if self.fits(found, seen):
+                    return found
+            guess = found
+        return None
+
     def is_sound(self, found: OnCurve | None) -> bool:
         """Whether a motion was found whose events follow one another."""
         return found is not None and is_ordered(found.contacts, found.times, self.whole)
+
+    def fits(self, motion: OnCurve, seen: Seen) -> bool:
+        """Whether a motion keeps to its contacts; a march may miss the shallowest."""
+        if not seen.fits:
+            return False
+        met = seen.contacts, seen.times
+        every = [(motion.contacts, motion.times), *self.without_shallow(motion)]
+        return any(same(*own, *met, self.brief) for own in every)
+
+    def without_shallow(self, motion: OnCurve) -> list[tuple[Contacts, np.ndarray]]:
+        """Contacts of a motion without one of those that a march may miss."""
+        every = pairs(motion.contacts, motion.times)
+        short = [pair for pair in every if np.ptp(pair.times) < self.brief]
+        return [without(motion.contacts, motion.times, [pair]) for pair in short]
 
     def oriented(self, found: OnCurve, last: OnCurve) -> OnCurve:
         """The motion with the direction in which the curve was followed to it."""
@@ -114,6 +173,26 @@ class CurveSearch:
         section = best_section(motion.contacts, motion.times, self.whole)
         cut = yield from self.cut_at(motion, section)
         return motion if cut is None else cut
+
+    def recut(self, motion: OnCurve, seen: Seen) -> Steps:
+        """Cut a motion ahead of a contact that a march missed, and look again; None if that fails.
+
+        Where a motion is very unstable, what is ahead of a shallow contact grows beyond its depth.
+        """
+        for pair in pairs(motion.contacts, motion.times) if seen.fits else ():
+            less = without(motion.contacts, motion.times, [pair])
+            if not same(*less, seen.contacts, seen.times, self.brief):
+                continue
+            i = pair.places[0]
+            before = motion.times[i - 1] if i else motion.times[-1] - self.whole
+            section = (before + pair.times[0]) / 2
+            section += self.whole if section < motion.contacts.section else 0.0
+            cut = yield from self.cut_at(motion, section)
+            if cut is None:
+                return None
+            (seen,) = yield Look([cut])
+            return (cut, seen) if self.fits(cut, seen) else None
+        return None
 
     def from_phase(self, motion: OnCurve, section: float) -> Steps:
         """Contacts, times, state of a motion from another section on; old places of the times."""

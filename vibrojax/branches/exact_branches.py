@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.branches.beginning import doubled, free_flight, motion_near, opened, reach
+from vibrojax.branches.beginning import doubled, free_flight, opened, reach
 from vibrojax.branches.continuation import Ending
 from vibrojax.branches.exact_results import columns_of_motions, curve_of, special_results
 from vibrojax.branches.finishing import branch_of, nothing
@@ -74,9 +74,7 @@ def walk_from(
     """Walk both ways from a motion near a state; None where there is none."""
     rigs = CurveRigs(paths, plan.period)
     (up,), (down,) = _walks(plan, rigs, value), _walks(plan, rigs, value)
-    (start,) = run_together(
-        [_job(up, rigs, 0, motion_near(up.search, up.search.unit * state, value))]
-    )
+    (start,) = run_together([_job(up, rigs, 0, up.search.near(up.search.unit * state, value))])
     if start is None:
         return None
     rises, falls = run_together(
@@ -99,7 +97,7 @@ def walk_doubled(
     walk.doubled = True
     search = walk.search
     half = walk.anew(replace(search, whole=search.whole / 2), plan.low, plan.high)
-    steps = motion_near(half.search, search.unit * state, value)
+    steps = half.search.near(search.unit * state, value)
     (near,) = run_together([_job(half, single, 0, steps)])
     if near is None:
         return None
@@ -181,9 +179,7 @@ def _by_settling(
     paths = take(rigs.paths, np.array(left))
     states, settled = settled_states(paths, np.full(len(left), value), rigs.period, True)
     jobs = {
-        k: _job(
-            walks[k], rigs, k, motion_near(walks[k].search, walks[k].search.unit * state, value)
-        )
+        k: _job(walks[k], rigs, k, walks[k].search.near(walks[k].search.unit * state, value))
         for k, state, good in zip(left, states, settled, strict=True)
         if good
     }

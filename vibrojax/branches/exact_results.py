@@ -1,13 +1,12 @@
 """Branches of exact motions as results: their columns, and values between their points."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import jax
 import numpy as np
 
-from vibrojax.branches.contacts import TURN
 from vibrojax.branches.continuation import LONGEST_STEP
-from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
 from vibrojax.branches.points import ExactCurve, SpecialPoint
 from vibrojax.branches.readings import Columns, references
@@ -59,15 +58,14 @@ def special_results(
 
 def curve_of(walk: Walk, found: list[Special]) -> ExactCurve:
     """What of a walk and its special points is kept with its branch."""
-    search, specials = walk.search, tuple(special.motion for special in found)
-    points, touches = tuple(walk.points), tuple(walk.touches)
-    return ExactCurve(search.unit, search.scale, search.smooth, points, touches, specials)
+    specials = tuple(special.motion for special in found)
+    return ExactCurve(walk.search, tuple(walk.points), tuple(walk.touches), specials)
 
 
-def walk_of(curve: ExactCurve, period: int, bounds: tuple[float, float]) -> Walk:
+def walk_of(curve: ExactCurve, bounds: tuple[float, float]) -> Walk:
     """Take a walk up again."""
     return Walk(
-        search=CurveSearch(curve.unit, curve.scale, TURN * period, curve.smooth),
+        search=replace(curve.search, asked=0),
         low=bounds[0],
         high=bounds[1],
         longest=LONGEST_STEP,
@@ -93,14 +91,19 @@ def motions_at(
 def between(walk: Walk, first: int, value: float) -> Steps:
     """Solve for the motion at a value between the points `first` and `first` + 1."""
     a, b = walk.points[first], walk.points[first + 1]
-    touch = next((t for t in walk.touches if (t.at if t.entering else t.at - 1) == first), None)
+    touch = next((touch for touch in walk.touches if touch.cell == first), None)
     motion = None
-    if touch is None:
-        nearer = a if abs(value - a.parameter) < abs(value - b.parameter) else b
-        motion = yield from walk.search.solve(walk.search.pinned(nearer, value))
+    nearer = a if abs(value - a.parameter) < abs(value - b.parameter) else b
+    ask = walk.search.pinned(nearer, value)
+    if touch is None and walk.is_leap(first):
+        motion = yield from walk.search.near(ask.state, value, ask.contacts.section)
+    elif touch is None:
+        motion = yield from walk.search.solve(ask)
         if motion is not None and not _is_within(walk, a, b, motion):
             motion = None
-    if motion is None:
+        if motion is None:
+            motion = yield from _by_halving(walk, first, touch, value)
+    else:
         motion = yield from _by_halving(walk, first, touch, value)
     if motion is None:
         return None, None

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.branches.beginning import motion_near, reach
+from vibrojax.branches.beginning import reach
 from vibrojax.branches.comparing import COMPARED, SAME, relative_difference
 from vibrojax.branches.exact_branches import walk_from
 from vibrojax.branches.exact_results import between, columns_of_motions, motions_at, walk_of
@@ -73,7 +73,7 @@ def _motions_of(
     at, which, first, _ = passages_of(branch, values)
     chosen = np.flatnonzero(which == 0)
     places = [(int(first[k]), float(values[at[k]])) for k in chosen]
-    walk = walk_of(branch.curve, branch.period, branch.range)
+    walk = walk_of(branch.curve, branch.range)
     both = zip(*motions_at(branch.path, walk, branch.period, places), strict=True)
     return {
         value: (motion, seen)
@@ -118,7 +118,7 @@ def _by_opening(
     if not at:
         return []
     assert branch.curve is not None
-    values, followed = np.array(list(at)), walk_of(branch.curve, branch.period, branch.range).search
+    values, followed = np.array(list(at)), walk_of(branch.curve, branch.range).search
     local = jax.device_get(localise(branch.path, np.zeros(len(values), int), values, True))
     phases, rigs, jobs = local.phases, CurveRigs(OpenedPath(local.place), plan.period), []
     assert phases is not None  # of linear stops
@@ -158,7 +158,7 @@ def _solved(
     (search,) = rigs.searches(candidates[0][0], plan.scale)
 
     def steps(value: float, state: np.ndarray) -> Steps:
-        motion = yield from motion_near(search, search.unit * state, value)
+        motion = yield from search.near(search.unit * state, value)
         if motion is None:
             return None, None
         (seen,) = yield Look([motion])

@@ -8,10 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from vibrojax.branches.contacts import Contacts, pairs, same, without
-
-SHALLOW = 1e-4
-"""Drive angle, rad, of a contact that may be too shallow for a march to count."""
+from vibrojax.branches.contacts import Contacts
 
 
 @dataclass(frozen=True)
@@ -103,21 +100,10 @@ class Touch(NamedTuple):
     """Of the pair in the motions that have it."""
     stop: int
 
-
-def fits(motion: OnCurve, seen: Seen) -> bool:
-    """Whether a motion keeps to its contacts; a march may miss the shallowest."""
-    if not seen.fits:
-        return False
-    if same(motion.contacts, motion.times, seen.contacts, seen.times):
-        return True
-    return any(same(*less, seen.contacts, seen.times) for less in without_shallow(motion))
-
-
-def without_shallow(motion: OnCurve) -> list[tuple[Contacts, np.ndarray]]:
-    """Contacts of a motion without one of those that a march may miss."""
-    every = pairs(motion.contacts, motion.times)
-    short = [pair for pair in every if np.ptp(pair.times) < SHALLOW]
-    return [without(motion.contacts, motion.times, [pair]) for pair in short]
+    @property
+    def cell(self) -> int:
+        """Index of the point from which to the next one the pair comes or goes."""
+        return self.at if self.entering else self.at - 1
 
 
 def at_value(contacts: Contacts, times: np.ndarray, state: np.ndarray, value: float) -> Ask:

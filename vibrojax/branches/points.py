@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
+from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import OnCurve, Touch
 from vibrojax.results.derived import AbstractRatios
 from vibrojax.results.variables import axis_description, axis_unit, described_as
@@ -33,12 +34,7 @@ TURNS = ("fold", "touch_fold")
 class ExactCurve(NamedTuple):
     """Exact motions along a branch: where a search between them starts from."""
 
-    unit: Float[np.ndarray, " states"]
-    """Weights of states (q, q') in the energy."""
-    scale: float
-    """Change of the parameter that counts as much as the state changing by its size."""
-    smooth: bool
-    """Whether the curve has no corner at a touch."""
+    search: CurveSearch
     motions: tuple[OnCurve, ...]
     touches: tuple[Touch, ...]
     specials: tuple[OnCurve, ...]

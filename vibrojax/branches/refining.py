@@ -67,9 +67,12 @@ def _numbers(a: OnCurve, b: OnCurve) -> dict[str, Number]:
 
 def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
     """Find all special points of a walk, in order along it."""
-    behind = {(t.at if t.entering else t.at - 1): t for t in walk.touches}
+    behind = {touch.cell: touch for touch in walk.touches}
     found: list[Special] = []
     for k in range(len(walk.points) - 1):
+        if k not in behind and walk.is_leap(k):
+            found += _leapt_over(walk, k)
+            continue
         stretch = Stretch(walk, k, behind.get(k))
         places = [stretch.ends[0], *_doubtful(walk, k, stretch), stretch.ends[1]]
         motions = yield from stretch.each(places[1:-1])
@@ -87,6 +90,13 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
         kind = "contact_change" if touch.stop in point.contacts.stops else "grazing"
         found.append(Special(kind, point, seen, max(touch.at - 1, 0), True))
     return sorted(found, key=lambda special: special.after)
+
+
+def _leapt_over(walk: Walk, k: int) -> list[Special]:
+    """Special points behind the point k, of which it is only known that there are some."""
+    a, b = walk.points[k], walk.points[k + 1]
+    kinds = ["contact_change", "fold"][: 1 + (a.parameter_along * b.parameter_along < 0)]
+    return [Special(kind, a, walk.seen[k], k, refined=False) for kind in kinds]
 
 
 def _doubtful(walk: Walk, k: int, stretch: "Stretch") -> list[float]:

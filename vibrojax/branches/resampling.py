@@ -117,7 +117,7 @@ def _balanced(branch: BranchPoints, values, first, share) -> tuple[Columns, np.n
 
 def _exact(branch: BranchPoints, values, first, share) -> tuple[Columns, np.ndarray]:
     assert branch.curve is not None
-    walk = walk_of(branch.curve, branch.period, branch.range)
+    walk = walk_of(branch.curve, branch.range)
     places = list(zip(first.tolist(), values.tolist(), strict=True))
     motions, seen = motions_at(branch.path, walk, branch.period, places)
     good = np.array([motion is not None for motion in motions])

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from vibrojax.branches.contacts import TURN, Contacts
 from vibrojax.branches.curve_search import CurveSearch
@@ -13,12 +14,14 @@ from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen
 from vibrojax.steady.contact_times import Events
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.orbit_curve import ROOM, Condition, Try, read_on_curve, solve_on_curve
-from vibrojax.steady.paths import AbstractPath, FrequencyPath, OpenedPath, localise
+from vibrojax.steady.paths import AbstractPath, FrequencyPath, LocalPath, OpenedPath, localise
 
 WIDTH, FEW = 32, 16
 """Motions solved for in one call; up to a few go one by one, which compiles nothing more."""
 LOOKED_AT = 16
 """Motions marched in one call."""
+BRIEF, SHARE = 1e-4, 0.02
+"""Drive angle, rad, of a contact that is as good as none; share of how long short ones last."""
 
 
 class CurveRigs:
@@ -66,9 +69,24 @@ class CurveRigs:
         local = self.at(lanes, np.full(len(lanes), parameter)).columns()
         # A force that jumps where a stop is touched, and is zero where it is left, makes a corner.
         pulls = np.array(local.phases.can_pull) | (np.asarray(local.phases.damping) == 0)
-        both = zip(np.asarray(local.phases.weight), pulls.all(axis=1), strict=True)
+        shortest = np.min(_contact_angles(local), axis=1, initial=np.inf)
+        brief = np.minimum(BRIEF, SHARE * shortest)
+        each = zip(np.asarray(local.phases.weight), pulls.all(axis=1), brief, strict=True)
         whole = TURN * self.period
-        return [CurveSearch(unit.copy(), scale, whole, bool(smooth)) for unit, smooth in both]
+        return [
+            CurveSearch(unit.copy(), scale, whole, bool(smooth), float(angle))
+            for unit, smooth, angle in each
+        ]
+
+
+def _contact_angles(local: LocalPath) -> Float[np.ndarray, "lanes stops"]:
+    """Drive angles, rad, of short contacts: half a period of each stop and what it moves."""
+    phases = local.phases
+    assert phases is not None  # of linear stops
+    mobility = np.einsum("ijk,ikj->ij", phases.speed_towards_stop, phases.push_off)
+    rate = np.sqrt(np.abs(np.asarray(phases.stiffness) * mobility))
+    w = np.asarray(local.place.angular_frequency)[:, None]
+    return np.pi * w / np.where(rate > 0, rate, 1e-300)
 
 
 def _leading(tree: Any) -> int:

@@ -20,7 +20,7 @@ from vibrojax.branches.contacts import (
     without,
 )
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch, fits, without_shallow
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch
 
 CLOSES = 0.3
 """Share of its duration that is left to a pair at the next step, where it may vanish."""
@@ -32,8 +32,6 @@ TOGETHER = 1e-7
 """Arclength within which touches happen at once."""
 SHARP = 1e-6
 """Arclength within which curves of stiff stops may turn round next to a touch."""
-SHORT = 1e-4
-"""Drive angle, rad, of a contact that is as good as none at a touch."""
 FASTEST, CHANGES = 3, (0.5, 0.2, 0.05)
 """Contacts whose duration is made to change, and by what share, in order of trying."""
 LEAST_WAY = 0.02
@@ -109,13 +107,13 @@ def vanish(search: CurveSearch, last: OnCurve, step: float, bounds: tuple[float,
             continue
         touch = replace(touch, family=last.family + 1, way=abs(gone))
         (seen,) = yield Look([touch])
-        if not _only_touches(touch, seen):
+        if not _only_touches(search, touch, seen):
             continue
         return Passed([touch], [seen], Touch(0, False, pair.places, pair.stop))
     return None
 
 
-def _only_touches(touch: OnCurve, seen: Seen) -> bool:
+def _only_touches(search: CurveSearch, touch: OnCurve, seen: Seen) -> bool:
     """Whether a motion keeps to its contacts, but for those that it just touches."""
     if not seen.fits:
         return False
@@ -123,8 +121,8 @@ def _only_touches(touch: OnCurve, seen: Seen) -> bool:
     if extra is None:
         return False
     kept = without(seen.contacts, seen.times, extra)
-    shallow = all(np.ptp(pair.times) < SHORT for pair in extra)
-    return shallow and same(touch.contacts, touch.times, *kept)
+    shallow = all(np.ptp(pair.times) < search.brief for pair in extra)
+    return shallow and same(touch.contacts, touch.times, *kept, search.brief)
 
 
 def touch_between(
@@ -141,7 +139,7 @@ def touch_between(
         if cut is None:
             return None
         last = cut
-    extra = _met_beyond(bad, seen)
+    extra = _met_beyond(search, bad, seen)
     if not extra:
         return (yield from vanish(search, last, apart, bounds))
     found = []
@@ -164,11 +162,11 @@ def touch_between(
     return (yield from _enter(search, last, touch, at_once, apart, bounds))
 
 
-def _met_beyond(motion: OnCurve, seen: Seen) -> list[Pair] | None:
+def _met_beyond(search: CurveSearch, motion: OnCurve, seen: Seen) -> list[Pair] | None:
     """Pairs that a march of a motion met beyond its own."""
     if not seen.fits:
         return None
-    for own in [(motion.contacts, motion.times), *without_shallow(motion)]:
+    for own in [(motion.contacts, motion.times), *search.without_shallow(motion)]:
         extra = new_pairs(*own, seen.contacts, seen.times)
         if extra:
             return extra
@@ -235,7 +233,7 @@ def _enter(
                     continue
                 found = replace(found, family=last.family + 1, way=abs(gone))
                 both_seen = yield Look([touch, found])
-                if fits(found, both_seen[1]):
+                if search.fits(found, both_seen[1]):
                     touched = Touch(0, True, places, new[0][1])
                     return Passed([touch, found], both_seen, touched)
         first *= 0.4
@@ -276,6 +274,6 @@ def by_duration(search: CurveSearch, last: OnCurve, bounds: tuple[float, float])
             if not ahead or not _is_within(found, bounds):
                 continue
             (seen,) = yield Look([found])
-            if fits(found, seen):
+            if search.fits(found, seen):
                 return replace(found, family=last.family, way=search.along(last, *gone)), seen
     return None

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from vibrojax.branches.contacts import in_order, is_ordered
 from vibrojax.branches.continuation import LOOP_POINTS, Ending
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch, fits
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch
 from vibrojax.branches.touches import SHARP, Passed, by_duration, closing, touch_between, vanish
 
 FIRST, SHORTEST = 0.02, 1e-9
@@ -27,6 +27,11 @@ GROWTH = (3, 2.5), (4, 1.8), (5, 1.4), (7, 1.0), (np.inf, 0.7)
 """By what steps grow after so many rounds of Newton's method."""
 MOST_TRIES = 40
 """Tries to pass a touch before the next point has to be found."""
+LEAPS = 1e-5, 1e-4, 1e-3, 1e-2
+"""Arclengths by which changes of contact are leapt over that cannot be passed one by one."""
+MOST_LEAPS = 30
+FARTHER = 4.0
+"""Farthest that a motion behind a leap may be, over the length of the leap."""
 
 
 @dataclass
@@ -47,6 +52,8 @@ class Walk:
     """By how much the last point of a doubled walk differs from itself half a period later."""
     refused: Seen | None = None
     """What was seen of the motion that broke its contacts last."""
+    leaps: int = 0
+    """How often changes of contact were leapt over."""
 
     def anew(self, search: CurveSearch, low: float, high: float) -> "Walk":
         """A walk with the same settings elsewhere."""
@@ -91,7 +98,9 @@ class Walk:
             tries += 1
             step = FIRST / 2 if came else shorter
             if step < SHORTEST or tries > MOST_TRIES:
-                return Ending.stuck
+                if not (yield from self.leap()):
+                    return Ending.stuck
+                step, room = FIRST / 2, 4
 
     def look_ahead(self, step: float, room: int) -> Steps:
         """Solve for up to `room` motions: those, the step behind them, the end of the range met.
@@ -122,6 +131,40 @@ class Walk:
                 step = SHARP  # a contact may end within that
             return ahead, step, None
         return None
+
+    def leap(self) -> Steps:
+        """Go on a little farther, whatever the contacts are there; says whether that is possible.
+
+        Where a motion chatters, more touches lie on the way than can be told from each other.
+        """
+        last, search = self.points[-1], self.search
+        self.leaps += 1
+        for length in LEAPS if self.leaps <= MOST_LEAPS else ():
+            guess = search.ahead(last, length)
+            if not self.low < guess.parameter < self.high:
+                return False
+            section = last.contacts.section
+            found = yield from search.near(guess.state, guess.parameter, section)
+            if found is not None and found.contacts.section != section:
+                found = yield from search.cut_at(found, section)
+            if found is None:
+                continue
+            found = search.oriented(found, last)
+            gone = np.hypot(
+                np.linalg.norm(found.state - last.state) / last.size,
+                (found.parameter - last.parameter) / search.scale,
+            )
+            if found.way <= 0 or gone > FARTHER * length:
+                continue
+            (seen,) = yield Look([found])
+            if search.fits(found, seen):
+                self.add(replace(found, family=last.family + 1), seen)
+                return True
+        return False
+
+    def is_leap(self, k: int) -> bool:
+        """Whether contacts change behind the point k, unless there is a touch."""
+        return self.points[k].family != self.points[k + 1].family
 
     def add(self, motion: OnCurve, seen: Seen) -> None:
         """Take a motion as a point of the curve."""
@@ -154,9 +197,12 @@ class Walk:
             return 0
         every = yield Look(ahead, self.halfway(ahead) if self.doubled else None)
         for k, (motion, seen) in enumerate(zip(ahead, every, strict=True)):
-            if not fits(motion, seen):
-                self.refused = seen
-                return k
+            if not self.search.fits(motion, seen):
+                again = None if self.doubled else (yield from self.search.recut(motion, seen))
+                if again is None:
+                    self.refused = seen
+                    return k
+                motion, seen = again
             if self.doubled:
                 odd = self.search.unit * seen.initial_state - seen.at_section
                 if float(odd @ (self.odd if self.odd is not None else odd)) < 0:
@@ -176,7 +222,7 @@ class Walk:
         change = first.state - last.state, first.parameter - last.parameter
         way = self.search.along(last, *change)
         if way > 0:
-            self.add(replace(first, way=way), self.seen[0])
+            self.add(replace(first, way=way, family=last.family), self.seen[0])
 
     def halfway(self, motions: list[OnCurve]) -> list[float]:
         """Drive phases half a period after phase 0, behind the sections."""

@@ -42,7 +42,7 @@ class KnownBranch:
         assert branch.curve is not None  # of linear stops, as was checked
         self.branch, self.curve = branch, branch.curve
         self.lane, self.numbers = lane, numbers
-        self.walk = walk_of(branch.curve, branch.period, branch.range)
+        self.walk = walk_of(branch.curve, branch.range)
         self.ask: Ask = group.alone
         """Who computes: the group alone, or together with what others ask for."""
         self._seen: dict[tuple[int, bool], tuple[OnCurve, Around]] = {}
@@ -126,7 +126,7 @@ class KnownBranch:
         touches: Sequence[tuple[int, float]],
         **more: Any,
     ) -> Any:
-        scale = self.curve.scale
+        scale = self.curve.search.scale
         return self.ask(Measuring(self.lane, program, motions, scale, touches, **more))
 
 

@@ -206,7 +206,7 @@ class Between:
 
 def touch_in(touches: Sequence[Touch], cell: int) -> Touch | None:
     """Return the touch that a cell between two branch points begins or ends with."""
-    return next((t for t in touches if (t.at if t.entering else t.at - 1) == cell), None)
+    return next((touch for touch in touches if touch.cell == cell), None)
 
 
 def node_of(known: KnownBranch, knot: Knot) -> Node:
@@ -261,7 +261,7 @@ def _way(known: KnownBranch, k: int, motion: OnCurve) -> float:
 
 
 def _is_stable(known: KnownBranch, a: Knot, b: Knot) -> bool:
-    """Whether the motions between two knots are stable, by those of their points whose stability is known."""
+    """Whether the motions between two knots are stable, by their points of known stability."""
     points, stable = known.walk.points, known.branch.stable
     touch = touch_in(known.walk.touches, a.cell)
     told = []

@@ -1,8 +1,8 @@
 """Searches of scipy, side by side: what all of them ask for is evaluated as one batch.
 
 Each search is a thread that minimises by `scipy.optimize.minimize` and stops wherever it asks for a
-design (`_tools/gathered.py`). An interrupt, or an error of the evaluation, is raised to the caller; the
-searches end, and each returns the best design that it has found.
+design (`_tools/gathered.py`). An interrupt, or an error of the evaluation, is raised to the caller,
+and each search returns the best design that it has found.
 """
 
 import warnings

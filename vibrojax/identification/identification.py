@@ -181,7 +181,7 @@ class Identification(Fit):
 
         It holds the data, the pictures, and as a zip archive a Python script with its data that
         repeats the fit; nothing is fetched. The script has the text of the function of the rig and
-        of what it uses, as far as Python has it as text, and is tried; the page says what is missing.
+        of what it uses, as far as Python has it, and is tried; the page says what is missing.
 
         Parameters:
             path: of the page, such as `report.html`; what is there is replaced.

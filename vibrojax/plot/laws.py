@@ -12,7 +12,7 @@ MOST_RECORDS = 5
 
 
 def plot_laws(laws: xarray.Dataset, predictions: Mapping[str, Sequence[xarray.Dataset]]) -> Figure:
-    """Draw the force of every record (up to five) with each law, and what distinguishes the laws."""
+    """Draw the force of every record (up to five) with each law, and how the laws differ."""
     names = [str(name) for name in laws["law"].values]
     count = len(predictions[names[0]])
     records = min(count, MOST_RECORDS)
