@@ -233,6 +233,7 @@ def test_touches_that_cannot_be_passed_are_leapt_over(monkeypatch):
     monkeypatch.setattr(walking, "vanish", fails)
     branch = vj.continue_response(rig, frequency_ratio=bounds)
     assert branch.completed
+    assert f"leapt over {known.grazings.size} times" in branch.sentence
     leaps = [p for p in branch.special_points if p.kind == "contact_change"]
     assert len(leaps) == known.grazings.size > 0
     assert not any(p.refined for p in leaps)

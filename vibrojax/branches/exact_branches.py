@@ -15,7 +15,7 @@ from vibrojax.branches.finishing import branch_of, nothing
 from vibrojax.branches.on_curve import OnCurve, at_value
 from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import BranchPoints
-from vibrojax.branches.refining import special_points_of
+from vibrojax.branches.refining import Special, special_points_of
 from vibrojax.branches.side_by_side import CurveRigs, Job, compile_ahead, run_together
 from vibrojax.branches.walking import Walk
 from vibrojax.steady.batches import take
@@ -187,6 +187,12 @@ def _by_settling(
     return {k: motion for k, motion in found.items() if motion is not None}
 
 
+def _leapt(found: list[Special]) -> str:
+    """What a result says of changes of contact that were leapt over."""
+    count = sum(special.kind == "contact_change" and not special.refined for special in found)
+    return f" Changes of contact were leapt over {count} times." if count else ""
+
+
 def _results(
     plan: Plan,
     rigs: CurveRigs,
@@ -212,7 +218,7 @@ def _results(
                 k,
                 take(paths, np.array([k])),
                 endings[k],
-                notes[k],
+                notes[k] + _leapt(special[k]),
                 columns,
                 special_results(paths, k, special[k], plan.period),
                 ticks=walk.search.asked,
