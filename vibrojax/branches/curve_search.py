@@ -56,6 +56,11 @@ class CurveSearch:
         change = float(a.state_along @ state) / a.size**2
         return change + a.parameter_along * parameter / self.scale**2
 
+    def apart(self, a: OnCurve, b: OnCurve) -> float:
+        """Distance of two motions that are cut at the same drive phase, in arclength."""
+        moved = np.linalg.norm(b.state - a.state) / a.size
+        return float(np.hypot(moved, (b.parameter - a.parameter) / self.scale))
+
     def ahead(self, a: OnCurve, step: float) -> Ask:
         """The motion a step further on."""
         by_state, by_parameter = a.state_along / a.size**2, a.parameter_along / self.scale**2

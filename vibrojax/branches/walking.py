@@ -150,11 +150,7 @@ class Walk:
             if found is None:
                 continue
             found = search.oriented(found, last)
-            gone = np.hypot(
-                np.linalg.norm(found.state - last.state) / last.size,
-                (found.parameter - last.parameter) / search.scale,
-            )
-            if found.way <= 0 or gone > FARTHER * length:
+            if found.way <= 0 or search.apart(last, found) > FARTHER * length:
                 continue
             (seen,) = yield Look([found])
             if search.fits(found, seen):
@@ -263,16 +259,12 @@ class Walk:
             or self.search.collapses(last, found, ahead=True)
         ):
             return None, step, None
-        found, size = self.search.oriented(found, last), last.size
+        found = self.search.oriented(found, last)
         cosine = self.search.along(last, found.state_along, found.parameter_along)
         cosine /= np.hypot(
-            np.linalg.norm(found.state_along) / size, found.parameter_along / self.search.scale
+            np.linalg.norm(found.state_along) / last.size, found.parameter_along / self.search.scale
         )
-        gone = np.hypot(
-            np.linalg.norm(found.state - last.state) / size,
-            (found.parameter - last.parameter) / self.search.scale,
-        )
-        long = 2.5 * step + 1e-9
+        gone, long = self.search.apart(last, found), 2.5 * step + 1e-9
         turns = self.search.turns_round(last, found) or self.turns_twice(last, found, step)
         if cosine < STRAIGHT or gone > long or turns:
             return None, step, None

@@ -12,7 +12,7 @@ from vibrojax.model.drives import BaseMotion
 from vibrojax.model.first_order import without_memory
 from vibrojax.steady.condensed import Problem, cell_average, differentiate
 from vibrojax.steady.paths import Place
-from vibrojax.stepping.cubic import cubic_maximum
+from vibrojax.stepping.cubic import cubic_maximum, largest
 
 FINER = 2
 """How many times finer than the balance a waveform is looked at."""
@@ -135,7 +135,7 @@ def _shown(sensor: Sensor, spectrum: Complex[Array, " harmonics"]):
     wave, change = jnp.fft.irfft(jnp.stack([spectrum, slope]), finer)
     both, slopes = jnp.stack([wave, -wave]), jnp.stack([change, -change])
     ahead = jnp.roll(both, -1, axis=1), jnp.roll(slopes, -1, axis=1)
-    high, low = jnp.max(cubic_maximum(both, slopes, *ahead), axis=1)
+    high, low = largest(cubic_maximum(both, slopes, *ahead))
     if sensor.quantity == "peak":
         return jnp.maximum(high, low) ** (2 if sensor.signal == "power" else 1)
     return (high + low) / (1.0 if sensor.quantity == "peak_to_peak" else 2.0)
@@ -150,4 +150,4 @@ def _largest_force(place: Place, motion: Complex[Array, "stops harmonics"], per_
         stop.force(value[a], change[a] * finer * per_second)
         for a, stop in enumerate(without_memory(place.equations.stops))
     ]
-    return jnp.max(jnp.stack(forces))
+    return largest(jnp.concatenate(forces))

@@ -19,6 +19,7 @@ from vibrojax.steady.condensed import (
     state_of,
 )
 from vibrojax.steady.paths import AbstractPath, Place, localise
+from vibrojax.stepping.cubic import largest
 
 Scalar = Float[Array, ""]
 Spectra = Complex[Array, "stops harmonics"]
@@ -80,12 +81,12 @@ def read_balanced(place: Place, depth: Spectra, period: int) -> BalancedMotion:
     zero = jnp.zeros(())
     size = jnp.sqrt(jnp.sum(jnp.abs(fine) ** 2))
     return BalancedMotion(
-        highest=jnp.max(response),
-        lowest=jnp.min(response),
+        highest=largest(response),
+        lowest=-largest(-response),
         mean_square=jnp.mean(response**2),
         first_harmonic=2
         * jnp.hypot(jnp.mean(response * np.sin(angle)), jnp.mean(response * np.cos(angle))),
-        contact_force=jnp.max(jnp.stack(forces)),
+        contact_force=largest(jnp.concatenate(forces)),
         contact_fraction=jnp.mean(jnp.any(touching, axis=0)),
         contacts=jnp.sum(entered) + zero,
         initial_state=state_of(equations, drive, w, at.force, zero, samples=samples, period=period),

@@ -167,7 +167,7 @@ def _read(place: _Place, states: Any, steps_per_period: int, period: int) -> Sam
         lowest=-largest(low),
         mean_square=jnp.mean(y**2),
         first_harmonic=2 * jnp.hypot(jnp.mean(y * jnp.sin(angle)), jnp.mean(y * jnp.cos(angle))),
-        contact_force=jnp.max(forces, initial=0.0),
+        contact_force=largest(jnp.append(forces, 0.0)),
         contact_fraction=jnp.mean(jnp.any(touching, axis=1).astype(float)),
         contacts=jnp.sum(entered).astype(float),
         initial_state=states[0],
