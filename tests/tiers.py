@@ -2,7 +2,7 @@
 
 `quick` by file; further tests that are `slow` or `long` by name. Marks beside a test say the same
 of those that were written as such. A test is moved where another one of its tier computes the same
-public function on another rig, law or case: read off the durations, and then by reading both.
+public function, or runs the same engine, on another rig, law or case; the dearest ones go first.
 """
 
 QUICK = {
