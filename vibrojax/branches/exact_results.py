@@ -91,11 +91,11 @@ def motions_at(
 def between(walk: Walk, first: int, value: float) -> Steps:
     """Solve for the motion at a value between the points `first` and `first` + 1."""
     a, b = walk.points[first], walk.points[first + 1]
-    touch = next((touch for touch in walk.touches if touch.cell == first), None)
+    touch = walk.touch_in(first)
     motion = None
     nearer = a if abs(value - a.parameter) < abs(value - b.parameter) else b
     ask = walk.search.pinned(nearer, value)
-    if touch is None and walk.is_leap(first):
+    if walk.is_leap(first):
         motion = yield from walk.search.near(ask.state, value, ask.contacts.section)
     elif touch is None:
         motion = yield from walk.search.solve(ask)

@@ -70,7 +70,7 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
     behind = {touch.cell: touch for touch in walk.touches}
     found: list[Special] = []
     for k in range(len(walk.points) - 1):
-        if k not in behind and walk.is_leap(k):
+        if walk.is_leap(k):
             found += _leapt_over(walk, k)
             continue
         stretch = Stretch(walk, k, behind.get(k))

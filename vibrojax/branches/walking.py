@@ -158,9 +158,14 @@ class Walk:
                 return True
         return False
 
-    def is_leap(self, k: int) -> bool:
-        """Whether contacts change behind the point k, unless there is a touch."""
-        return self.points[k].family != self.points[k + 1].family
+    def touch_in(self, cell: int) -> Touch | None:
+        """Return the touch that the cell behind a point begins or ends with."""
+        return next((touch for touch in self.touches if touch.cell == cell), None)
+
+    def is_leap(self, cell: int) -> bool:
+        """Whether changes of contact were leapt over in the cell behind a point."""
+        changes = self.points[cell].family != self.points[cell + 1].family
+        return changes and self.touch_in(cell) is None
 
     def add(self, motion: OnCurve, seen: Seen) -> None:
         """Take a motion as a point of the curve."""

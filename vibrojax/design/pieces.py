@@ -114,7 +114,7 @@ class Between:
     def __init__(self, known: KnownBranch, a: Knot, b: Knot):
         self.a, self.b = a.motion, b.motion
         walk = known.walk
-        touch = touch_in(walk.touches, a.cell)
+        touch = walk.touch_in(a.cell)
         self.stretch = Stretch(walk, a.cell, touch)
         self.places = self._place(known, a, 0), self._place(known, b, 1)
 
@@ -204,11 +204,6 @@ class Between:
         return None
 
 
-def touch_in(touches: Sequence[Touch], cell: int) -> Touch | None:
-    """Return the touch that a cell between two branch points begins or ends with."""
-    return next((touch for touch in touches if touch.cell == cell), None)
-
-
 def node_of(known: KnownBranch, knot: Knot) -> Node:
     """Return what is measured at a knot, with derivatives by the condition that it fulfils."""
     motion = knot.motion
@@ -263,7 +258,7 @@ def _way(known: KnownBranch, k: int, motion: OnCurve) -> float:
 def _is_stable(known: KnownBranch, a: Knot, b: Knot) -> bool:
     """Whether the motions between two knots are stable, by their points of known stability."""
     points, stable = known.walk.points, known.branch.stable
-    touch = touch_in(known.walk.touches, a.cell)
+    touch = known.walk.touch_in(a.cell)
     told = []
     for knot, own in ((a, a.cell), (b, a.cell + 1)):
         # At a touch itself multipliers are those of the side without the contact.
