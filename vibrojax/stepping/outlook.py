@@ -11,7 +11,7 @@ finer still. So what a lane costs is its contacts, whatever their stiffness.
 Blocks are the second axis of all arrays here, after their two rows.
 """
 
-from functools import partial, reduce
+from functools import reduce
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -23,16 +23,16 @@ from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.stepping.cubic import cubic_between
 from vibrojax.stepping.elementary import computed_once, pick, where_needed
 from vibrojax.stepping.forcing import Forcing
-from vibrojax.stepping.signals import Turning, contact_signals, with_derivatives, with_wave
-from vibrojax.stepping.turns import (
-    both,
-    doubled,
-    product,
-    read_after,
-    squares,
-    turn_over,
-    turned,
+from vibrojax.stepping.signal_bounds import (
+    Bounds,
+    Margin,
+    Place,
+    bounds_between,
+    errors_of,
+    places_ahead,
 )
+from vibrojax.stepping.signals import Turning, contact_signals, with_derivatives, with_wave
+from vibrojax.stepping.turns import product, squares, turn_over, turned
 
 lax = jax.lax
 
@@ -43,19 +43,13 @@ Blocks = Float[Array, "2 blocks *#lanes"]
 Wave = Float[Array, "2 *#lanes"]
 Tick = Int[Array, ""]
 
-STEPS, LEAPS = 4, 8
-"""Places of the coarse grid: as many leaps, of as many steps. Powers of two."""
-LAST = STEPS * LEAPS - 1
-PARTS = 7
-"""In so many parts one of its intervals is looked at closely: one less than a power of two."""
+PLACES, INTERVALS = 8, 32
+"""Intervals of the coarse grid, of which so many are looked at together; and all of them."""
+PARTS = 8
+"""In so many parts one of them is looked at closely."""
 GRID = 0.21
 """Longest interval, over 1 / lowest angular frequency of the phase."""
-SHAPE = 16 / 6
-"""Middle coefficient of 16 x^2 (1 - x)^2, the shape of a cubic's largest error, as a quartic."""
-SLOPE = 384 * 3**0.5 / 216
-"""Bound of the error of the cubic's slope over that of its value (Birkhoff and Priver, Hermite
-interpolation errors for derivatives, 1967)."""
-ROUGH, ROUND_OFF = 2e-6, 1e-14
+ROUGH, ROUND_OFF = 4e-6, 1e-14
 """Rounding of what is read off the coarse grid and off its parts, over the amplitudes."""
 LANDING = 1e-3
 """Longest way to a crossing that is gone by series, over 1 / the fastest rate of the phase."""
@@ -146,12 +140,13 @@ class Outlook(eqx.Module):
         step = pick(phase, self.longest) * scale
         part = step / PARTS
         rows, rest = once(lambda: self.signed(phase, touching))
-        rows, rest = rows[:, :, :2], rest[:2]
-        of_parts, of_steps = _turns(decay, rate, part, tick)
+        rows, rest = rows[:, :, :2], rest[0]
+        turn = once(lambda: turn_over(decay, rate, part))
+        turns = squares(turn, (PARTS * PLACES).bit_length(), tick)
 
         def largest():
             # Of every block in every signal for as long as it is looked at.
-            growth = jnp.exp(jnp.maximum(jnp.max(decay, axis=0), 0.0) * LAST * step)
+            growth = jnp.exp(jnp.maximum(jnp.max(decay, axis=0), 0.0) * INTERVALS * step)
             size = jnp.sqrt(now[0] ** 2 + now[1] ** 2) * growth
             return jnp.sqrt(rows[0, :, 0] ** 2 + rows[1, :, 0] ** 2) * size[:, None], growth
 
@@ -164,149 +159,145 @@ class Outlook(eqx.Module):
             first = jnp.where(real[:, None], own[0], amplitude)
             second = jnp.where(real[:, None], own[1], 0.0)
             fast = jnp.where(real, jnp.abs(decay), speed)
-            each = _errors(first, fast[0] * step), _errors(second, fast[1] * step)
+            each = (
+                errors_of(a, f * step, PARTS) for a, f in zip((first, second), fast, strict=True)
+            )
             return jax.tree.map(jnp.add, *each)
 
-        errors = once(lambda: _errors(amplitude, speed * step))
+        errors = once(lambda: errors_of(amplitude, speed * step, PARTS))
         errors = where_needed(self.creeps, apart, errors)
-        grid = once(lambda: _grid(_single((rows, now, rest, of_steps)), tick))
 
-        def coarse():
-            bounds = _bounds(grid, *_single((step, errors.cubic)))
-            more = sway * LAST * step + errors.flat + ROUGH * errors.size - tolerance
-            return self._above(touching, bounds.top + _single(more))
+        def rough() -> Margin:
+            more = sway * INTERVALS * step + errors.flat + ROUGH * errors.size - tolerance
+            return _single(Margin(errors.cubic, more))
 
-        above = once(coarse)
-        interval = once(lambda: _first(above))
-        begun, there = interval * step, now
-        for power, turn in enumerate(of_steps):
-            there = once(partial(_where_bit, interval, power, turn, there))
-        there = doubled(turned, of_parts, there[:, :, None], tick)
-        read = once(lambda: product(rows[:, :, None], there[:, :, :, None, None]) + rest)
+        turns = turns[PARTS.bit_length() - 1], turns[-1]
+        grid = once(lambda: _single(_Grid(rows, rest, now, step, turns)))
+        interval = self._first_doubt(grid, once(rough), touching)
+        begun = interval * step
+        there = once(lambda: turned(turn_over(decay, rate, begun), now))
 
-        def close():
-            bounds = _bounds(read, part, errors.cubic_of_parts)
+        def fine() -> Array:
             more = sway * (begun + 2 * step) - ROUND_OFF * errors.size - tolerance
-            return self._above(touching, bounds.top + more), self._sure(touching, bounds)
+            margin = Margin(errors.cubic_of_parts, more)
+            places = places_ahead(rows, rest, there, part, turn, PARTS)
+            return self._closely(places, margin, touching, interval, tolerance, scale)
 
-        above_there, sure = once(close)
+        found = once(fine)
+        outcome = jnp.floor(found / 2).astype(jnp.int32)
+        again = outcome > len(touching)
+        return Sight(
+            time=(found - 2 * outcome) * (INTERVALS * step),
+            stop=jnp.where(again, -1, outcome - 1),
+            scale=jnp.where(again, jnp.maximum(scale / 8, FINEST), jnp.minimum(2 * scale, 1.0)),
+        )
 
-        def decide():
-            found = _first(above_there)
-            doubtful = (interval < LAST) & (found < PARTS)
-            start, end, may, once_only = (
-                # Where there is none the last is taken, which nobody looks at then.
-                pick(jnp.minimum(found, PARTS - 1), a)
-                for a in (read[:-1], read[1:], above_there, sure)
-            )
-            f0, g0 = self.breach(touching, start)
-            f1, g1 = self.breach(touching, end)
+    def _first_doubt(
+        self, grid: "_Grid", margin: Margin, touching: Which
+    ) -> Float[Array, "*lanes"]:
+        """First interval of the coarse grid in which a contact may change; else their number."""
+        rows, rest, blocks, step, (turn, leap) = grid
+
+        def some(tick: Tick, carry: tuple[Lane, Blocks]) -> tuple[Lane, Blocks]:
+            first, blocks = carry
+
+            def here() -> Array:
+                places, doubt = places_ahead(rows, rest, blocks, step, turn, PLACES), none
+                for k in reversed(range(PLACES)):
+                    bounds = bounds_between(places[k], places[k + 1], margin.cubic)
+                    may = self._above(touching, bounds, margin.more)
+                    doubt = jnp.where(reduce(jnp.logical_or, may), k, doubt)
+                return doubt
+
+            found = computed_once(tick, here) + PLACES * tick
+            return jnp.minimum(first, found), turned(leap, blocks)
+
+        none = jnp.full(blocks.shape[2:], INTERVALS, blocks.dtype)
+        return lax.fori_loop(0, INTERVALS // PLACES, some, (none, grid.blocks))[0]
+
+    def _closely(
+        self,
+        places: list[Place],
+        margin: Margin,
+        touching: Which,
+        interval: Lane,
+        tolerance: Lane,
+        scale: Lane,
+    ) -> Float[Array, "*lanes"]:
+        """Look at the parts of an interval; one number, of which XLA makes one loop.
+
+        Twice the outcome (0: no change is expected, 1 + the stop that changes, 1 + the number of
+        stops where it is to be looked at again), and how far to go, over the whole grid.
+        """
+        found, chosen = jnp.full_like(interval, PARTS), None
+        for k in reversed(range(PARTS)):
+            bounds = bounds_between(places[k], places[k + 1], margin.cubic)
+            may = self._above(touching, bounds, margin.more)
+            here = places[k], places[k + 1], may, self._sure(touching, bounds)
+            hit = reduce(jnp.logical_or, may)
+            # Where there is none the last is taken, which nobody looks at then.
+            choose = lambda new, old, hit=hit: jnp.where(hit, new, old)  # noqa: E731
+            chosen = here if chosen is None else jax.tree.map(choose, here, chosen)
+            found = jnp.where(hit, k, found)
+        assert chosen is not None
+        start, end, may, once_only = chosen
+        doubtful = (interval < INTERVALS) & (found < PARTS)
+        first, stop, settled = jnp.full_like(interval, jnp.inf), 0 * found, scale > 0
+        for s, can in enumerate(may):
+            (f0, g0), (f1, g1) = (self._breach(touching[s], place, s) for place in (start, end))
             f0, crosses = jnp.minimum(f0, 0.0), f1 > tolerance
             secant = jnp.clip(-f0 / jnp.where(crosses, f1 - f0, 1.0), 0.02, 0.98)
-            cubic = cubic_between(f0, g0 * part, f1, g1 * part)
+            cubic = cubic_between(f0, 3 * g0, f1, 3 * g1)
             place = jnp.where(crosses, cubic.root(guess=secant, rounds=5), jnp.inf)
-            first = jnp.min(place, axis=0)
-            settled = ~jnp.any(may & ~(crosses & once_only), axis=0) | (scale <= FINEST)
-            # Cleared up to the crossing, or all of a part in which there is none after all.
-            share = jnp.where(settled, jnp.minimum(first, 1.0), 0.0)
-            clear = jnp.where(doubtful, found + share, jnp.where(interval < LAST, PARTS, 0.0))
-            expected = doubtful & settled & jnp.isfinite(first)
-            again = doubtful & ~settled
-            return Sight(
-                time=begun + clear * part,
-                stop=jnp.where(expected, jnp.argmin(place, axis=0), -1).astype(jnp.int32),
-                scale=jnp.where(again, jnp.maximum(scale / 8, FINEST), jnp.minimum(2 * scale, 1.0)),
-            )
+            stop = jnp.where(place < first, s, stop)
+            first = jnp.minimum(first, place)
+            settled &= ~can | (crosses & once_only[s])
+        settled |= scale <= FINEST
+        # Cleared up to the crossing, or all of a part in which there is none after all.
+        share = jnp.where(settled, jnp.minimum(first, 1.0), 0.0)
+        clear = jnp.where(doubtful, found + share, jnp.where(interval < INTERVALS, PARTS, 0.0))
+        outcome = jnp.where(jnp.isfinite(first), stop + 1, 0)
+        outcome = jnp.where(settled, outcome, len(may) + 1)
+        outcome = jnp.where(doubtful, outcome, 0)
+        return 2 * outcome + (interval + clear / PARTS) / INTERVALS
 
-        return once(decide)
-
-    def _above(self, touching: Which, top: Array) -> Bool[Array, "places stops *lanes"]:
-        """Whether a stop may change its contact, from the highest that its signals may be."""
+    def _breach(self, touching: Array, place: Place, stop: int) -> tuple[Array, Array]:
+        """`breach` of one stop at a place."""
         if self.pulls:
-            return top > 0
-        depth, push = jnp.split(top > 0, 2, axis=1)
-        return push & (touching | depth)
+            return place[stop]
+        depth, push = place[stop], place[stop + len(place) // 2]
+        by_push = touching | (push[0] < depth[0])
+        return jnp.where(by_push, push[0], depth[0]), jnp.where(by_push, push[1], depth[1])
 
-    def _sure(self, touching: Which, bounds: "_Bounds") -> Bool[Array, "places stops *lanes"]:
+    def _above(self, touching: Which, bounds: list[Bounds], more: Array) -> list[Array]:
+        """Whether a stop may change its contact, from the highest that its signals may be."""
+        top = [b.top + m > 0 for b, m in zip(bounds, more, strict=True)]
+        if self.pulls:
+            return top
+        depth, push = top[: len(touching)], top[len(touching) :]
+        return [p & (t | d) for t, d, p in zip(touching, depth, push, strict=True)]
+
+    def _sure(self, touching: Which, bounds: list[Bounds]) -> list[Array]:
         """Whether a stop changes its contact once at the most."""
         if self.pulls:
-            return bounds.rises
-        depth, push = jnp.split(bounds.rises, 2, axis=1)
-        depth_stays, push_stays = jnp.split(bounds.bottom > 0, 2, axis=1)
-        flight = (depth | depth_stays) & (push | push_stays)
-        return jnp.where(touching, push, flight)
+            return [b.rises for b in bounds]
+        stops = len(touching)
+        stays = [b.rises | (b.bottom > 0) for b in bounds]
+        return [
+            jnp.where(touching[s], bounds[stops + s].rises, stays[s] & stays[stops + s])
+            for s in range(stops)
+        ]
 
 
-class _Errors(NamedTuple):
-    """How far signals may be from the cubics through them, by signal and lane."""
+class _Grid(NamedTuple):
+    """What is read on the coarse grid."""
 
-    cubic: Float[Array, "signals *lanes"]
-    """At the middle of an interval, falling off towards its ends as the error of a cubic does."""
-    cubic_of_parts: Float[Array, "signals *lanes"]
-    flat: Float[Array, "signals *lanes"]
-    """Anywhere in an interval, of blocks that turn too far in it."""
-    size: Float[Array, "signals *lanes"]
-    """What rounding is a share of."""
-
-
-def _errors(amplitude: Float[Array, "blocks signals *lanes"], turn: Array) -> _Errors:
-    """Bounds from the largest amplitudes and the turns over an interval, rad."""
-    cubic, of_parts = turn**4 / 384, (turn / PARTS) ** 4 / 384
-    # However fast a block turns, the cubic through it is no higher than its ends make it.
-    flat = 2 + 0.3 * turn
-    slow = SHAPE * cubic <= flat
-    kinds = jnp.where(slow, cubic, 0.0), of_parts, jnp.where(slow, 0.0, flat), 1 + turn
-    return _Errors(*(jnp.sum(amplitude * kind[:, None], axis=0) for kind in kinds))
-
-
-def _turns(decay: Array, rate: Array, part: Lane, tick: Tick) -> tuple[list[Array], list[Array]]:
-    """Turns over 1, 2, 4, ... parts, which together are a step, and over 1, 2, 4, ... steps."""
-    turn = computed_once(tick, lambda: turn_over(decay, rate, part))
-    of_parts = squares(turn, (PARTS + 1).bit_length() - 1, tick)
-    turn = computed_once(tick, lambda: reduce(both, of_parts))
-    return of_parts, squares(turn, (STEPS * LEAPS).bit_length() - 1, tick)
-
-
-def _grid(numbers: tuple[Array, Array, Array, list[Array]], tick: Tick) -> Array:
-    """Read signals and slopes at all places of the coarse grid."""
-    rows, blocks, rest, of_steps = numbers
-    leap = STEPS.bit_length() - 1
-    ahead = doubled(read_after, of_steps[:leap], rows[:, :, None], tick)
-    leaps = doubled(turned, of_steps[leap:], blocks[:, :, None], tick)
-    read = product(ahead[:, :, None], leaps[:, :, :, None, None, None])
-    return read.reshape(-1, *read.shape[2:]) + rest
-
-
-class _Bounds(NamedTuple):
-    top: Float[Array, "places signals *lanes"]
-    bottom: Float[Array, "places signals *lanes"]
-    rises: Bool[Array, "places signals *lanes"]
-
-
-def _bounds(read: Array, step: Lane, error: Array) -> _Bounds:
-    """Bounds of signals on the intervals between places, from values and slopes there."""
-    value, slope = read[:, 0], read[:, 1] * (step / 3)
-    b0, b3 = value[:-1], value[1:]
-    b1, b2 = b0 + slope[:-1], b3 - slope[1:]
-    early, late, middle = (b0 + 3 * b1) / 4, (3 * b2 + b3) / 4, (b1 + b2) / 2
-    ends = jnp.maximum(early, late), jnp.minimum(early, late)
-    top = jnp.maximum(jnp.maximum(ends[0], middle + SHAPE * error), b3)
-    bottom = jnp.minimum(jnp.minimum(ends[1], middle - SHAPE * error), jnp.minimum(b0, b3))
-    rise = jnp.minimum(jnp.minimum(b1 - b0, b2 - b1), b3 - b2)
-    return _Bounds(top, bottom, 3 * rise > SLOPE * error)
-
-
-def _first(above: Bool[Array, "places stops *lanes"]) -> Int[Array, "*lanes"]:
-    """Index of the first place with any stop; their number where there is none."""
-    found = jnp.full(above.shape[2:], len(above), jnp.int32)
-    for k in reversed(range(len(above))):
-        found = jnp.where(jnp.any(above[k], axis=0), k, found)
-    return found
-
-
-def _where_bit(count: Array, power: int, turn: Array, blocks: Array) -> Array:
-    """Turn blocks where a bit of a count is set."""
-    return jnp.where((count >> power) & 1 == 1, turned(turn, blocks), blocks)
+    rows: Float[Array, "2 blocks kinds signals *lanes"]
+    rest: Float[Array, "signals *lanes"]
+    blocks: Float[Array, "2 blocks *lanes"]
+    step: Float[Array, "*lanes"]
+    turns: tuple[Float[Array, "3 blocks *lanes"], Float[Array, "3 blocks *lanes"]]
+    """Over an interval, and over as many as are looked at together."""
 
 
 def _single(numbers: Any) -> Any:

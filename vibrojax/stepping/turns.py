@@ -75,12 +75,6 @@ def turned(turn: Turns, blocks: Rows) -> Rows:
     return jnp.stack([p * x - q * y, q * x + r * y])
 
 
-def read_after(turn: Turns, row: Rows) -> Rows:
-    """Row that reads of the block coordinates now what `row` will read after a turn."""
-    (p, r, q), (x, y) = turn, row
-    return jnp.stack([p * x + q * y, r * y - q * x])
-
-
 def slope_row(
     decay: Float[Array, "2 *#shape"], rate: Float[Array, "*#shape"], row: Rows
 ) -> Float[Array, "2 *shape"]:
