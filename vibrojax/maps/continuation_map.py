@@ -77,6 +77,7 @@ class ContinuationMap(AbstractMapResponse):
         stacked = jax.tree.map(lambda *a: np.stack(a), *curves)
         found = np.isfinite(stacked["amplitude_ratio"])
         done = np.array([b.completed for b in branches])
+        fold_states, free = map(np.stack, zip(*map(_folds, branches), strict=True))
         return Computed(
             curves=stacked,
             numbers={
@@ -87,7 +88,7 @@ class ContinuationMap(AbstractMapResponse):
             points=Points(np.stack(states), np.where(found, self.settings.period, 0)),
             lane_status=np.where(done, 0, 1),
             lane_steps=np.array([b.ticks for b in branches], np.int64),
-            folds={"fold": Folds(*map(np.stack, zip(*map(_folds, branches), strict=True)))},
+            folds={"fold": Folds(fold_states, free, self.settings.period)},
         )
 
     def _resampled(self, branch: BranchPoints, values: np.ndarray) -> tuple[dict, np.ndarray]:

@@ -1,11 +1,13 @@
 """Derivatives of curves and measures with respect to named numbers of the rig.
 
 Of a steady state they are implicit: the state returns after its period, x = P(x, p), so that
-dx/dp = (1 - P_x)^-1 P_p, and what is read off the motion follows by the chain rule. Of a jump they
-are those of the fold behind it. Forward mode through the stepper, contact times included.
+dx/dp = (1 - P_x)^-1 P_p, and what is read off the motion follows by the chain rule. At a fold
+1 - P_x is singular, w (1 - P_x) = 0: there the frequency f moves with the numbers so that
+w P_f df + w P_p dp = 0. Of a jump derivatives are those of the fold behind it. Forward mode through
+the stepper, contact times included.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,7 +18,7 @@ from jaxtyping import Array
 from vibrojax._tools.compiled import compiled
 from vibrojax.branches.folds import Fold, fold_response
 from vibrojax.branches.special_points import touch_near
-from vibrojax.ensemble.slopes import systems_with_slopes, with_slopes
+from vibrojax.ensemble.slopes import WithSlopes, systems_with_slopes, with_slopes
 from vibrojax.maps.measures import STEPWISE, Curve, Measure
 from vibrojax.maps.responses import Computed, Grid
 from vibrojax.maps.rig_maker import RigMaker
@@ -28,7 +30,11 @@ from vibrojax.stepping.prepared_rigs import Prepared, Rigs, prepare
 from vibrojax.stepping.stepper import AbstractStepper
 
 FOLD_WIDTH = 16
-"""Folds differentiated side by side."""
+"""Folds solved for side by side."""
+PLACE = "place"
+"""Name of a fold's frequency beside those of the variables."""
+SINGULAR = 1e-2
+"""Smallest singular value below which a motion is a fold, in units of energy."""
 SAME = 1e-2
 """Relative distance up to which a fold is taken for the one behind a jump."""
 
@@ -48,59 +54,84 @@ def _prepared(systems, slopes, stepper) -> tuple[Prepared, Any]:
     return made, smooth
 
 
+class Differentiated(NamedTuple):
+    """Rigs of a block, and their derivatives in the numbers of some names."""
+
+    names: tuple[str, ...]
+    systems: WithSlopes
+    prepared: Prepared
+    slopes: Any
+    """Of `prepared`, names leading."""
+
+
+def differentiate(
+    maker: RigMaker,
+    index: tuple[np.ndarray, ...],
+    names: tuple[str, ...],
+    stepper: AbstractStepper,
+) -> Differentiated:
+    """Make the rigs of a block ready, with derivatives in the numbers of these names."""
+    static, numbers = maker.lane_numbers(index, names)
+    systems = systems_with_slopes(maker.make, static, names, numbers)
+    return Differentiated(names, systems, *_prepared(*systems, stepper))
+
+
 @compiled
 def _point_slopes(prepared, slopes, rigs, value, is_ratio, state, period):
-    """Derivatives (points, numbers) of the variables at some points."""
+    """Derivatives (points, numbers) of the variables at some points; of the place of folds."""
     numbers, rest = eqx.partition(take_rigs(prepared, rigs), eqx.is_inexact_array)
 
-    def run(numbers, state):
+    def run(numbers, state, value):
         own: Prepared = eqx.combine(numbers, rest)
         unit = own.first_frequency if is_ratio else 2 * jnp.pi
         end, _, measures = own.march(state, value * unit, period, True)
         assert measures is not None  # a march that observes has them
         return end, ratios_of(measures, period, own.reference, jnp)
 
-    _, push = jax.linearize(run, numbers, state)
+    _, push = jax.linearize(run, numbers, state, value)
     n = state.shape[0]
     nothing = jax.tree.map(jnp.zeros_like, numbers)
-    eye = jnp.broadcast_to(jnp.eye(n)[:, :, None], (n, *state.shape))
-    end_by_number, by_number = jax.vmap(lambda d: push(d, jnp.zeros_like(state)))(
-        take_rigs(slopes, rigs)
-    )
-    end_by_state, by_state = jax.vmap(lambda e: push(nothing, e))(eye)
-    matrix = jnp.eye(n) - jnp.moveaxis(end_by_state, (0, 1), (-1, -2))  # points, rows, columns
-    change = jnp.linalg.solve(matrix, jnp.moveaxis(end_by_number, (0, 1), (-1, -2)))
+    own = jax.vmap(lambda d: push(d, jnp.zeros_like(state), jnp.zeros_like(value)))
+    end_by_number, by_number = own(take_rigs(slopes, rigs))
+    eye = jnp.broadcast_to(jnp.eye(n + 1)[:, :, None], (n + 1, n + 1, *value.shape))
+    end_by, by_state = jax.vmap(lambda e: push(nothing, e[:-1], e[-1]))(eye)
+    matrix = jnp.eye(n) - jnp.moveaxis(end_by[:-1], (0, 1), (-1, -2))  # points, rows, columns
+    end_by_number = jnp.moveaxis(end_by_number, (0, 1), (-1, -2))
+    change = jnp.linalg.solve(matrix, end_by_number)
+    # In units of energy, in which what is singular is not hidden by those of the state.
+    weight = eqx.combine(numbers, rest).march.energy_weight().T
+    left, sizes, _ = jnp.linalg.svd(weight[:, :, None] * matrix / weight[:, None])
+    still = (left[:, :, -1] * weight)[:, None]
+    by_value = still @ end_by[-1].T[:, :, None]
+    place = -(still @ end_by_number)[:, 0] / by_value[:, 0]
     return {
-        name: by_number[name].T + jnp.einsum("sp,psk->pk", by_state[name], change)
+        name: by_number[name].T + jnp.einsum("sp,psk->pk", by_state[name][:-1], change)
         for name in by_number
-    }
+    } | {PLACE: jnp.where(sizes[:, -1:] < SINGULAR, place, jnp.nan)}
 
 
-def curve_slopes(
-    maker: RigMaker,
-    index: tuple[np.ndarray, ...],
-    names: tuple[str, ...],
-    grid: Grid,
-    stepper: AbstractStepper,
-    computed: Computed,
-) -> Slopes:
+def _at_points(
+    rigs: Differentiated, rig: np.ndarray, value: np.ndarray, grid: Grid, states, periods
+) -> dict[str, np.ndarray]:
+    """Return derivatives (points, numbers) at points of these rigs."""
+    is_ratio, periods = grid.axis == "frequency_ratio", periods.astype(np.int32)
+
+    def some(i):
+        own = rig[i], value[i], is_ratio, states[i].T, periods[i]
+        return _point_slopes(rigs.prepared, rigs.slopes, *own)
+
+    return in_batches(some, len(rig)) if len(rig) else {}
+
+
+def curve_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes:
     """Differentiate all curves of a block; NaN where there is no steady state."""
-    static, numbers = maker.lane_numbers(index, names)
-    systems = systems_with_slopes(maker.make, static, names, numbers)
-    prepared, slopes = _prepared(*systems, stepper)
     period = computed.points.period
     rig, *_, column = np.nonzero(period > 0)
     states = computed.points.states[period > 0]
-    value, periods = grid.values[column], period[period > 0].astype(np.int32)
-    is_ratio = grid.axis == "frequency_ratio"
-
-    def at_points(i):
-        return _point_slopes(prepared, slopes, rig[i], value[i], is_ratio, states[i].T, periods[i])
-
-    at = in_batches(at_points, len(rig)) if len(rig) else {}
-    found: Slopes = {name: {} for name in names}
-    first = np.asarray(slopes.first_frequency) / (2 * np.pi)
-    for k, name in enumerate(names):
+    at = _at_points(rigs, rig, grid.values[column], grid, states, period[period > 0])
+    found: Slopes = {name: {} for name in rigs.names}
+    first = np.asarray(rigs.slopes.first_frequency) / (2 * np.pi)
+    for k, name in enumerate(rigs.names):
         for variable in DIFFERENTIATED:
             own = np.full(period.shape, np.nan)
             if at:
@@ -111,56 +142,73 @@ def curve_slopes(
 
 
 @compiled
-def _fold_slopes(systems, slopes, near, free, axis) -> Array:
-    """Derivatives (folds, numbers) of the frequencies of folds, or of touches where `free`."""
+def _folds_near(systems, near, axis) -> Fold:
+    """The folds behind jumps."""
+    return jax.vmap(lambda system, near: fold_response(system, near, axis=axis))(systems, near)
 
-    def one(system, slopes, near, free):
+
+@compiled
+def _touch_slopes(systems, slopes, value, is_ratio) -> tuple[Array, Array]:
+    """Frequencies of touches, and their derivatives (touches, numbers)."""
+
+    def one(system, slopes, value):
         def place(system):
-            fold = fold_response(system, near, axis=axis).parameter
-            path = frequency_path(system, axis == "frequency_ratio", False)
-            touch = touch_near(path, jnp.asarray(near.parameter))
-            touch = jnp.where(touch.found, touch.parameter, jnp.nan)
-            value = jnp.where(free, touch, fold)
-            # What was found is another fold, or none, where it lies elsewhere.
-            same = jnp.abs(value / near.parameter - 1) < SAME
-            return jnp.where(same, value, jnp.nan)
+            touch = touch_near(frequency_path(system, is_ratio, False), value)
+            return jnp.where(touch.found, touch.parameter, jnp.nan)
 
-        found = with_slopes(place, system, slopes)
-        return jnp.where(jnp.isfinite(found.made), found.slopes, jnp.nan)
+        return tuple(with_slopes(place, system, slopes))
 
-    return jax.vmap(one)(systems, slopes, near, free)
+    return jax.vmap(one)(systems, slopes, value)
 
 
-def fold_slopes(
-    maker: RigMaker,
-    index: tuple[np.ndarray, ...],
-    names: tuple[str, ...],
-    axis: str,
-    computed: Computed,
-) -> Slopes:
+def fold_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes:
     """Differentiate jumps and folds; NaN where there is none or its fold was not found."""
-    static, numbers = maker.lane_numbers(index, names)
-    systems = jax.device_get(systems_with_slopes(maker.make, static, names, numbers))
-    found: Slopes = {name: {} for name in names}
-    for variable, (states, free) in computed.folds.items():
+    systems = jax.device_get(rigs.systems)
+    found: Slopes = {name: {} for name in rigs.names}
+    for variable, folds in computed.folds.items():
         value = computed.numbers[variable]
-        there = np.isfinite(value) & np.isfinite(states).all(axis=-1)
-        lane, place = np.nonzero(there)[0], value[there]
-        start, begins = states[there], free[there]
-
-        def at_folds(i, lane=lane, place=place, start=start, begins=begins):
-            zero, known = jnp.zeros(len(i)), jnp.ones(len(i), bool)
-            near = Fold(jnp.asarray(place[i]), zero, zero, jnp.asarray(start[i]), known)
-            own = jax.tree.map(lambda a: a[lane[i]], systems)
-            return _fold_slopes(own.made, own.slopes, near, begins[i], axis)
-
-        at = in_batches(at_folds, len(lane), FOLD_WIDTH) if len(lane) else None
-        for k, name in enumerate(names):
-            slope = np.full(value.shape, np.nan)
-            if at is not None:
-                slope[there] = at[:, k]
-            found[name][variable] = slope
+        there = np.isfinite(value) & np.isfinite(folds.states).all(axis=-1)
+        slope = np.full((*value.shape, len(rigs.names)), np.nan)
+        for free in (True, False):
+            chosen = there & (folds.free == free)
+            if chosen.any():
+                lane, place = np.nonzero(chosen)[0], value[chosen]
+                known = lane, place, folds.states[chosen]
+                at = _of_touches if free else _of_folds
+                own, slopes = at(rigs, systems, *known, folds.period, grid)
+                # What was found is another one where it lies elsewhere.
+                same = np.abs(own / place - 1) < SAME
+                slope[chosen] = np.where(same[:, None], slopes, np.nan)
+        for k, name in enumerate(rigs.names):
+            found[name][variable] = slope[..., k]
     return found
+
+
+def _of_touches(rigs, systems, lane, place, states, period, grid):
+    """Return places and derivatives (touches, numbers) of touches of the free motion."""
+    is_ratio = grid.axis == "frequency_ratio"
+
+    def some(i):
+        own = jax.tree.map(lambda a: a[lane[i]], systems)
+        return _touch_slopes(own.made, own.slopes, place[i], is_ratio)
+
+    return in_batches(some, len(lane), FOLD_WIDTH)
+
+
+def _of_folds(rigs, systems, lane, place, states, period, grid):
+    """Return places and derivatives (folds, numbers) of folds, solved for where only near ones
+    are known."""
+    if period is None:
+
+        def some(i):
+            zero, known = jnp.zeros(len(i)), jnp.ones(len(i), bool)
+            near = Fold(jnp.asarray(place[i]), zero, zero, jnp.asarray(states[i]), known)
+            return _folds_near(jax.tree.map(lambda a: a[lane[i]], systems.made), near, grid.axis)
+
+        folds = in_batches(some, len(lane), FOLD_WIDTH)
+        place, states, period = folds.parameter, folds.initial_state, 1
+    at = _at_points(rigs, lane, place, grid, states, np.full(len(lane), period))
+    return place, at[PLACE]
 
 
 @compiled

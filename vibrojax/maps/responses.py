@@ -53,6 +53,9 @@ class Folds(NamedTuple):
     """(q, q') at drive phase 0; NaN where there is none."""
     free: Bool[np.ndarray, "lanes ..."]
     """Whether the motion does not touch: the jump is where it begins to."""
+    period: int | None = None
+    """Drive periods after which motions return that are the folds themselves; None where they are
+    only next to them."""
 
 
 class Computed(NamedTuple):

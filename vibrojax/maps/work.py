@@ -8,7 +8,13 @@ import numpy as np
 
 from vibrojax.ensemble.arguments import Arguments
 from vibrojax.maps.chunks import Block, Chunks
-from vibrojax.maps.gradients import Slopes, curve_slopes, fold_slopes, measure_slopes
+from vibrojax.maps.gradients import (
+    Slopes,
+    curve_slopes,
+    differentiate,
+    fold_slopes,
+    measure_slopes,
+)
 from vibrojax.maps.measures import AT_FOLDS, Measure, measure_lanes
 from vibrojax.maps.responses import AbstractMapResponse, Computed, Grid
 from vibrojax.maps.rig_maker import RigMaker
@@ -107,10 +113,11 @@ class MapWork:
         if not isinstance(stepper, LinearlyImplicit):  # whose orbits are those of their own steps
             stepper = choose_stepper(sample, None, GRADIENT_TOLERANCE, None)
         names = spec.gradients
-        at_points = curve_slopes(self.maker, block.indices, names, spec.grid, stepper, computed)
+        rigs = differentiate(self.maker, block.indices, names, stepper)
+        at_points = curve_slopes(rigs, spec.grid, computed)
         at_folds: Slopes = {name: {} for name in names}
         if any(not m.own or m.name in AT_FOLDS for m in spec.measures):  # long to compile
-            at_folds = fold_slopes(self.maker, block.indices, names, spec.grid.axis, computed)
+            at_folds = fold_slopes(rigs, spec.grid, computed)
         slopes: Slopes = {}
         for name in names:
             numbers = {n: a for n, a in at_points[name].items() if n == "natural_frequency"}
