@@ -2,6 +2,7 @@
 
     python benchmarks/settling.py rates           the default sweep, and 256 rigs at 24 ratios
     python benchmarks/settling.py agreement 300   random rigs: where the two differ, and how
+    python benchmarks/settling.py march           the bare march, lanes alike and of different rigs
 
 Compilation is left out of the rates: each is run once before. The random rigs are those of
 `random_rigs.py`, swept over ratios of 0.7 to 1.6.
@@ -11,10 +12,14 @@ import sys
 import time
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from random_rigs import random_numbers
 
 import vibrojax as vj
+from vibrojax._tools.programs import options
+from vibrojax.stepping.prepared_rigs import prepare, rigs_of
 
 WAYS = ("follow", "march")
 SAME = 1e-4
@@ -57,6 +62,48 @@ def rates() -> None:
             )
 
 
+def march() -> None:
+    """Lane-periods/s of the bare march: from rest, and of 256 rigs from states at random."""
+    frequencies = vj.default_rig().equations().linear_between_contacts.angular_frequency
+    first, size, rng = frequencies[0], 2 * len(frequencies), np.random.default_rng(0)
+    for lanes in (128, 1024):
+        which = rng.permutation(4096)[:lanes]
+        amplitude, angle = 1e-3 * rng.uniform(0.3, 2, lanes), rng.uniform(0, 2 * np.pi, lanes)
+        thrown = np.zeros((size, lanes))
+        thrown[0] = amplitude * np.cos(angle)
+        thrown[size // 2] = -first * amplitude * np.sin(angle)
+        gaps, laws = np.linspace(0.2e-3, 1e-3, 16), np.linspace(1e3, 1e4, 16)
+        every = np.ones(lanes)
+        cases = {
+            "lanes of one rig": (5e-4 * every, 5500 * every, np.linspace(0.95, 1.25, lanes)),
+            "lanes of 256 rigs": (
+                gaps[which // 256],
+                laws[which // 16 % 16],
+                np.linspace(0.95, 1.3, 16)[which % 16],
+            ),
+        }
+        for name, (gap, stiffness, ratios) in cases.items():
+            alike = name == "lanes of one rig"
+            systems = jax.vmap(lambda g, k: vj.default_rig(gap=g, stiffness=k))(gap, stiffness)
+            rigs = prepare(vj.ExactContact(), rigs_of(systems))
+            start, periods = (0 * thrown, 20) if alike else (thrown, 60)
+            number = jnp.full(lanes, periods, jnp.int32)
+            call = (rigs.march, jnp.asarray(start), jnp.asarray(ratios * first), number)
+            program = jax.jit(lambda own, *numbers: own(*numbers, False)).lower(*call)
+            program = program.compile(compiler_options=options())
+            seconds = []
+            for _ in range(6):
+                started = time.process_time()
+                _, rounds, _ = jax.block_until_ready(program(*call))
+                seconds.append(time.process_time() - started)
+            rate, each = lanes * periods / min(seconds[1:]), np.asarray(rounds) / periods
+            print(
+                f"{name}, {lanes}: {rate:9,.0f} lane-periods/s, {each.mean():.2f} rounds a period, "
+                f"slowest {each.max():.2f}",
+                flush=True,
+            )
+
+
 def agreement(count: int) -> None:
     ratios = np.linspace(0.7, 1.6, 46)
     rows = random_numbers(count)
@@ -80,4 +127,4 @@ def agreement(count: int) -> None:
 
 
 if __name__ == "__main__":
-    {"rates": rates, "agreement": agreement}[sys.argv[1]](*map(int, sys.argv[2:]))
+    {"rates": rates, "agreement": agreement, "march": march}[sys.argv[1]](*map(int, sys.argv[2:]))

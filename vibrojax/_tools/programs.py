@@ -61,8 +61,8 @@ class Program:
     """A function traced for one signature; compiled when it is needed first."""
 
     def __init__(self, traced: Callable[..., Any], returned: list[Parts], lightly: bool):
-        options = _options() | (LIGHT if lightly else {})
-        self.traced: Any = jax.jit(traced, compiler_options=options)
+        given = options() | (LIGHT if lightly else {})
+        self.traced: Any = jax.jit(traced, compiler_options=given)
         self.returned = returned
         """Of one; empty before the function was traced."""
         self.shapes: list[jax.ShapeDtypeStruct] | None = None
@@ -103,14 +103,14 @@ class Program:
 
 
 @functools.cache
-def _options() -> dict[str, Any]:
+def options() -> dict[str, Any]:
     """Options for XLA that this one knows and the processor is made for."""
-    options: dict[str, Any] = {}
+    known: dict[str, Any] = {}
     for more in (QUICK, WIDE if _has_wide_vectors() else {}):
         with suppress(Exception):
             jax.jit(jnp.negative, compiler_options=more)(0.0)
-            options |= more
-    return options
+            known |= more
+    return known
 
 
 def _has_wide_vectors() -> bool:
