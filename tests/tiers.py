@@ -9,7 +9,7 @@ QUICK = {
     *("test_beam", "test_drive", "test_elastic_pendulum"),
     *("test_zipped_axes", "test_replay", "test_poincare", "test_single_contact"),
     *("test_folds", "test_period_number", "test_lyapunov"),
-    *("test_map_chunks", "test_regime_map", "test_identification_plot", "test_saving"),
+    *("test_map_chunks", "test_identification_plot", "test_saving"),
     *("test_measured_curve", "test_measured_files", "test_measured_history"),
     *("test_measured_responses", "test_rig_file", "test_cli_fit", "test_interrupts"),
     *("test_tiers", "test_public_names", "test_documentation", "test_notebooks", "test_resolution"),
