@@ -252,6 +252,7 @@ LONG = {
         f"test_nothing_compiles_again[{study}]"
         for study in (
             "branch_switch",
+            "continue_response_in_a_number",
             "periodic_response_history",
             "periodic_response_guessed",
             "periodic_response_balanced",
@@ -423,6 +424,7 @@ LONG = {
     ),
     "test_lyapunov": ("test_periodic_motion_has_the_exponent_of_its_leading_multiplier[0.9331]",),
     "test_walks": (
+        "test_contacts_that_a_march_from_afar_misses_are_looked_at_from_near",
         "test_stiff_stops_are_where_sweeps_settle",
         "test_touches_of_stiff_stops_where_the_curve_turns_sharply",
         "test_a_branch_that_comes_back_gives_way_to_the_one_from_the_high_end",
