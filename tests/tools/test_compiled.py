@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax._tools import cache, interrupts, waiting
+from vibrojax._tools import cache, interrupts, programs, waiting
 from vibrojax._tools.compiled import _signature as signature_of
 from vibrojax._tools.compiled import compiled, forget, is_alone, sorted_out
 from vibrojax.model.laws import KelvinVoigt
@@ -221,3 +221,14 @@ def test_nothing_is_said_of_short_waits_or_where_nobody_reads(watched, capsys, m
     monkeypatch.setattr(waiting, "_is_watched", lambda: False)
     wait()
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("wide", [True, False])
+def test_wide_vectors_are_asked_for_where_the_processor_has_them(monkeypatch, wide):
+    monkeypatch.setattr(programs, "_has_wide_vectors", lambda: wide)
+    assert (programs.WIDE.items() <= programs.options.__wrapped__().items()) is wide
+
+
+def test_options_that_are_not_known_are_left_out(monkeypatch):
+    monkeypatch.setattr(programs, "QUICK", {"xla_cpu_no_such_option": True})
+    assert "xla_cpu_no_such_option" not in programs.options.__wrapped__()
