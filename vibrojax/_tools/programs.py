@@ -105,18 +105,23 @@ class Program:
 @functools.cache
 def options() -> dict[str, Any]:
     """Options for XLA that this one knows and the processor is made for."""
-    known: dict[str, Any] = {}
-    for more in (QUICK, WIDE if _has_wide_vectors() else {}):
-        with suppress(Exception):
-            jax.jit(jnp.negative, compiler_options=more)(0.0)
-            known |= more
-    return known
+    wanted = QUICK | (WIDE if _has_wide_vectors() else {})
+    if _are_known(wanted):
+        return wanted
+    return {name: value for name, value in wanted.items() if _are_known({name: value})}
+
+
+def _are_known(options: dict[str, Any]) -> bool:
+    with suppress(Exception):
+        jax.jit(jnp.negative, compiler_options=options)(0.0)
+        return True
+    return False
 
 
 def _has_wide_vectors() -> bool:
     """Whether the processor says that it has AVX-512; only Linux is asked."""
-    with suppress(OSError):
-        return " avx512f " in Path("/proc/cpuinfo").read_text()
+    with suppress(OSError), Path("/proc/cpuinfo").open() as lines:
+        return " avx512f " in next((line for line in lines if line.startswith("flags")), "")
     return False
 
 

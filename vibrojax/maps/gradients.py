@@ -31,8 +31,6 @@ from vibrojax.stepping.stepper import AbstractStepper
 
 FOLD_WIDTH = 16
 """Folds solved for side by side."""
-PLACE = "place"
-"""Name of a fold's frequency beside those of the variables."""
 SINGULAR = 1e-2
 """Smallest singular value below which a motion is a fold, in units of energy."""
 SAME = 1e-2
@@ -76,9 +74,21 @@ def differentiate(
     return Differentiated(names, systems, *_prepared(*systems, stepper))
 
 
+class _PointSlopes(NamedTuple):
+    """Derivatives at some points; states in units of energy."""
+
+    variables: dict[str, Array]
+    """Arrays (points, numbers)."""
+    matrix: Array
+    """1 - P_x: points, rows, columns."""
+    by_number: Array
+    """P_p: points, rows, numbers."""
+    by_value: Array
+    """P_f: points, rows."""
+
+
 @compiled
-def _point_slopes(prepared, slopes, rigs, value, is_ratio, state, period):
-    """Derivatives (points, numbers) of the variables at some points; of the place of folds."""
+def _point_slopes(prepared, slopes, rigs, value, is_ratio, state, period) -> _PointSlopes:
     numbers, rest = eqx.partition(take_rigs(prepared, rigs), eqx.is_inexact_array)
 
     def run(numbers, state, value):
@@ -98,29 +108,28 @@ def _point_slopes(prepared, slopes, rigs, value, is_ratio, state, period):
     matrix = jnp.eye(n) - jnp.moveaxis(end_by[:-1], (0, 1), (-1, -2))  # points, rows, columns
     end_by_number = jnp.moveaxis(end_by_number, (0, 1), (-1, -2))
     change = jnp.linalg.solve(matrix, end_by_number)
-    # In units of energy, in which what is singular is not hidden by those of the state.
-    weight = eqx.combine(numbers, rest).march.energy_weight().T
-    left, sizes, _ = jnp.linalg.svd(weight[:, :, None] * matrix / weight[:, None])
-    still = (left[:, :, -1] * weight)[:, None]
-    by_value = still @ end_by[-1].T[:, :, None]
-    place = -(still @ end_by_number)[:, 0] / by_value[:, 0]
-    return {
+    variables = {
         name: by_number[name].T + jnp.einsum("sp,psk->pk", by_state[name][:-1], change)
         for name in by_number
-    } | {PLACE: jnp.where(sizes[:, -1:] < SINGULAR, place, jnp.nan)}
+    }
+    weight = eqx.combine(numbers, rest).march.energy_weight().T
+    rows = weight[:, :, None]
+    return _PointSlopes(
+        variables, rows * matrix / weight[:, None], rows * end_by_number, weight * end_by[-1].T
+    )
 
 
 def _at_points(
     rigs: Differentiated, rig: np.ndarray, value: np.ndarray, grid: Grid, states, periods
-) -> dict[str, np.ndarray]:
-    """Return derivatives (points, numbers) at points of these rigs."""
+) -> _PointSlopes:
+    """Return derivatives at points, one or more, of these rigs."""
     is_ratio, periods = grid.axis == "frequency_ratio", periods.astype(np.int32)
 
     def some(i):
         own = rig[i], value[i], is_ratio, states[i].T, periods[i]
         return _point_slopes(rigs.prepared, rigs.slopes, *own)
 
-    return in_batches(some, len(rig)) if len(rig) else {}
+    return in_batches(some, len(rig))
 
 
 def curve_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes:
@@ -128,7 +137,8 @@ def curve_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes
     period = computed.points.period
     rig, *_, column = np.nonzero(period > 0)
     states = computed.points.states[period > 0]
-    at = _at_points(rigs, rig, grid.values[column], grid, states, period[period > 0])
+    points = rig, grid.values[column], grid, states, period[period > 0]
+    at = _at_points(rigs, *points).variables if len(rig) else {}
     found: Slopes = {name: {} for name in rigs.names}
     first = np.asarray(rigs.slopes.first_frequency) / (2 * np.pi)
     for k, name in enumerate(rigs.names):
@@ -163,19 +173,21 @@ def _touch_slopes(systems, slopes, value, is_ratio) -> tuple[Array, Array]:
 
 def fold_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes:
     """Differentiate jumps and folds; NaN where there is none or its fold was not found."""
-    systems = jax.device_get(rigs.systems)
     found: Slopes = {name: {} for name in rigs.names}
     for variable, folds in computed.folds.items():
         value = computed.numbers[variable]
         there = np.isfinite(value) & np.isfinite(folds.states).all(axis=-1)
         slope = np.full((*value.shape, len(rigs.names)), np.nan)
-        for free in (True, False):
-            chosen = there & (folds.free == free)
+        for chosen in (there & folds.free, there & ~folds.free):
             if chosen.any():
-                lane, place = np.nonzero(chosen)[0], value[chosen]
-                known = lane, place, folds.states[chosen]
-                at = _of_touches if free else _of_folds
-                own, slopes = at(rigs, systems, *known, folds.period, grid)
+                lane, place, states = np.nonzero(chosen)[0], value[chosen], folds.states[chosen]
+                if folds.free[chosen].all():
+                    own, slopes = _of_touches(rigs, lane, place, grid)
+                elif folds.period is None:
+                    own, states = _nearest_folds(rigs, lane, place, states, grid)
+                    slopes = _of_folds(rigs, lane, own, states, 1, grid)
+                else:
+                    own, slopes = place, _of_folds(rigs, lane, place, states, folds.period, grid)
                 # What was found is another one where it lies elsewhere.
                 same = np.abs(own / place - 1) < SAME
                 slope[chosen] = np.where(same[:, None], slopes, np.nan)
@@ -184,31 +196,55 @@ def fold_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes:
     return found
 
 
-def _of_touches(rigs, systems, lane, place, states, period, grid):
+def _of_touches(
+    rigs: Differentiated, lane: np.ndarray, place: np.ndarray, grid: Grid
+) -> tuple[np.ndarray, np.ndarray]:
     """Return places and derivatives (touches, numbers) of touches of the free motion."""
-    is_ratio = grid.axis == "frequency_ratio"
+    systems = jax.device_get(rigs.systems)
 
     def some(i):
         own = jax.tree.map(lambda a: a[lane[i]], systems)
-        return _touch_slopes(own.made, own.slopes, place[i], is_ratio)
+        return _touch_slopes(own.made, own.slopes, place[i], grid.axis == "frequency_ratio")
 
     return in_batches(some, len(lane), FOLD_WIDTH)
 
 
-def _of_folds(rigs, systems, lane, place, states, period, grid):
-    """Return places and derivatives (folds, numbers) of folds, solved for where only near ones
-    are known."""
-    if period is None:
+def _nearest_folds(
+    rigs: Differentiated, lane: np.ndarray, place: np.ndarray, states: np.ndarray, grid: Grid
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return places and states of the folds near some motions; NaN where there is none."""
+    systems = jax.device_get(rigs.systems.made)
 
-        def some(i):
-            zero, known = jnp.zeros(len(i)), jnp.ones(len(i), bool)
-            near = Fold(jnp.asarray(place[i]), zero, zero, jnp.asarray(states[i]), known)
-            return _folds_near(jax.tree.map(lambda a: a[lane[i]], systems.made), near, grid.axis)
+    def some(i):
+        zero, known = jnp.zeros(len(i)), jnp.ones(len(i), bool)
+        near = Fold(jnp.asarray(place[i]), zero, zero, jnp.asarray(states[i]), known)
+        return _folds_near(jax.tree.map(lambda a: a[lane[i]], systems), near, grid.axis)
 
-        folds = in_batches(some, len(lane), FOLD_WIDTH)
-        place, states, period = folds.parameter, folds.initial_state, 1
-    at = _at_points(rigs, lane, place, grid, states, np.full(len(lane), period))
-    return place, at[PLACE]
+    folds = in_batches(some, len(lane), FOLD_WIDTH)
+    return folds.parameter, folds.initial_state
+
+
+def _of_folds(
+    rigs: Differentiated,
+    lane: np.ndarray,
+    place: np.ndarray,
+    states: np.ndarray,
+    period: int,
+    grid: Grid,
+) -> np.ndarray:
+    """Return derivatives (folds, numbers) of the places of folds; NaN where a motion is none."""
+    slopes = np.full((len(lane), len(rigs.names)), np.nan)
+    known = np.flatnonzero(np.isfinite(place))
+    if len(known):
+        periods = np.full(len(known), period)
+        at = _at_points(rigs, lane[known], place[known], grid, states[known], periods)
+        # Who was given up on the way has no matrix, which numpy would refuse for all.
+        lost = ~np.isfinite(at.matrix).all(axis=(1, 2), keepdims=True)
+        left, sizes, _ = np.linalg.svd(np.where(lost, np.eye(at.matrix.shape[1]), at.matrix))
+        still = left[:, None, :, -1]  # on which the return does not depend
+        own = -(still @ at.by_number)[:, 0] / (still @ at.by_value[:, :, None])[:, 0]
+        slopes[known] = np.where(sizes[:, -1:] < SINGULAR, own, np.nan)
+    return slopes
 
 
 @compiled
