@@ -413,7 +413,7 @@ def test_any_bit_of_any_file_may_flip(tmp_path, whole):
     choice = np.random.default_rng(5)
     files = sorted(p.relative_to(whole) for p in whole.rglob("*") if p.is_file())
     noticed = 0
-    for k, name in enumerate(choice.choice(files, 24, replace=False)):
+    for k, name in enumerate(choice.choice(files, 10, replace=False)):
         store = shutil.copytree(whole, tmp_path / f"{k}")
         place = int(choice.integers(len((store / name).read_bytes())))
         flip(store / name, int(choice.integers(8)), place)
@@ -428,7 +428,7 @@ def test_any_bit_of_any_file_may_flip(tmp_path, whole):
         noticed += bool(caught)
         xarray.testing.assert_identical(xarray.open_zarr(store), xarray.open_zarr(whole))
         shutil.rmtree(store)
-    assert noticed >= 20
+    assert noticed >= 8
 
 
 def test_readers_meet_an_error_not_a_wrong_number(store):

@@ -4,7 +4,6 @@ import errno
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import threading
@@ -145,15 +144,16 @@ def test_of_many_that_start_at_once_one_has_it(tmp_path):
 @pytest.mark.slow
 def test_two_programs_that_start_one_store(tmp_path):
     environment = dict(os.environ)
-    more = {"MAP_PAUSE": "0.05"}
-    first = start(tmp_path / "map", environment, **more)
-    assert wait_until((tmp_path / "map" / "vibrojax" / "lock").exists, first)
-    second = start(tmp_path / "map", environment, **more)
-    _, told = second.communicate(timeout=240)
+    first = start(tmp_path / "map", environment, MAP_PAUSE="60")  # it ends when it is killed
+    try:
+        assert wait_until((tmp_path / "map" / "vibrojax" / "lock").exists, first)
+        second = start(tmp_path / "map", environment)
+        _, told = second.communicate(timeout=240)
+    finally:
+        first.kill()
+        first.communicate()
     assert second.returncode == 1
     assert f"is being written by process {first.pid} on" in told.rstrip().splitlines()[-1]
-    first.send_signal(signal.SIGKILL)
-    first.communicate()
 
 
 class NoLocks:
