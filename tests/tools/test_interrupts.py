@@ -65,6 +65,23 @@ def test_what_a_thread_raises_is_raised_and_the_others_stop():
     assert begun == [0, 1]
 
 
+def test_threads_that_end_are_not_interrupted(monkeypatch):
+    def fail(_):
+        raise ZeroDivisionError
+
+    lost, switch = [], sys.getswitchinterval()
+    for hook in ("unraisablehook", "excepthook"):
+        monkeypatch.setattr(threading if hook == "excepthook" else sys, hook, lost.append)
+    sys.setswitchinterval(1e-6)
+    try:
+        for _ in range(200):
+            with pytest.raises(ZeroDivisionError):
+                list(in_threads(fail, range(2), 2))
+    finally:
+        sys.setswitchinterval(switch)
+    assert lost == []
+
+
 def test_settings_of_the_caller_hold_in_its_threads():
     def settings():
         return jax.config.jax_debug_nans, jax.config.jax_disable_jit, np.geterr()["over"]

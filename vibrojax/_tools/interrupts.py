@@ -49,6 +49,8 @@ Result = TypeVar("Result")
 
 PATIENCE = 2.0
 """Seconds that an interrupted call gives its threads to end, before it leaves them behind."""
+GRACE = 0.02
+"""Seconds that a thread gets to end by itself before it is interrupted at all."""
 AGAIN = 0.5
 """Seconds after which a thread that has not ended is interrupted again."""
 SETTINGS = (
@@ -63,10 +65,39 @@ SETTINGS = (
 )
 """Of JAX, which a `with` sets for one thread: those of the caller hold in its threads too."""
 
-_left: list[threading.Thread] = []
+
+class _Worker(threading.Thread):
+    """A thread that is interrupted in its work only, not while it begins or ends."""
+
+    def __init__(self, work: Callable[[], None]):
+        context = contextvars.copy_context()
+        super().__init__(target=context.run, args=(work,), daemon=True)
+        self._lock, self._works = threading.Lock(), False
+
+    def run(self) -> None:
+        try:  # `suppress` would run lines of its own, in which the next one may come
+            self._works = True
+            super().run()
+        except KeyboardInterrupt:
+            pass
+        try:
+            with self._lock:
+                self._works = False
+            time.sleep(0)  # one that is on its way comes here
+        except KeyboardInterrupt:
+            self._works = False
+
+    def interrupt(self) -> None:
+        """Raise `KeyboardInterrupt` in its work; Python sees it when XLA returns."""
+        with self._lock:
+            if self._works:
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                    ctypes.c_ulong(self.ident or 0), ctypes.py_object(KeyboardInterrupt)
+                )
+
+
+_left: list[_Worker] = []
 """Threads of calls that were interrupted, until XLA lets go of them."""
-
-
 _background: list[threading.Thread] = []
 """Threads that work in the background, and some that have ended."""
 _cores = threading.Semaphore(os.cpu_count() or 1)
@@ -107,10 +138,7 @@ def in_threads(
                     over.set()
                     ended.put((None, error))
 
-    threads = [
-        threading.Thread(target=contextvars.copy_context().run, args=(work,), daemon=True)
-        for _ in range(min(count, total))
-    ]
+    threads = [_Worker(work) for _ in range(min(count, total))]
     try:
         for thread in threads:
             thread.start()
@@ -158,18 +186,17 @@ def _next(ended: "queue.SimpleQueue[Result]") -> Result:
             return ended.get(timeout=0.2)
 
 
-def _stop(threads: list[threading.Thread], patience: float = math.inf) -> None:
+def _stop(threads: list[_Worker], patience: float = math.inf) -> None:
     """Interrupt threads until they have ended, and drop those that have from the list."""
+    for thread in threads:
+        thread.join(GRACE)
     until = time.monotonic() + patience
     while time.monotonic() < until:
         threads[:] = [thread for thread in threads if thread.is_alive()]
         if not threads:
             return
         for thread in threads:
-            # Python sees it when XLA returns. Where it is lost, the next one is not.
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(
-                ctypes.c_ulong(thread.ident or 0), ctypes.py_object(KeyboardInterrupt)
-            )
+            thread.interrupt()  # where it is lost, the next one is not
         threads[0].join(min(AGAIN, patience))
 
 
