@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.steady.lane_pool import settle
+from vibrojax.steady.starting import settle
 
 GRADIENTS = json.loads((Path(__file__).parents[1] / "data" / "gradients.json").read_text())
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.steady import lane_pool
 from vibrojax.steady.following import advance
 from vibrojax.stepping.contact_phases import contact_phases
 
@@ -43,6 +44,20 @@ def test_most_points_are_not_marched_to(both):
     marched = np.asarray(both["follow"].periods_marched) > 0
     assert (marched[0, 0], marched[1, -1]) == (True, True)  # where the sweeps begin, at rest
     assert marched.mean() < 0.35
+
+
+def test_a_call_solves_for_many_points_of_few_lanes(rig, both, monkeypatch):
+    calls = []
+
+    def counted(*given):
+        calls.append(given[2].shape)
+        return advance(*given)
+
+    monkeypatch.setattr(lane_pool, "advance", counted)
+    again = swept(rig(num_modes=2), "follow", refine_jumps=None)
+    assert len(calls) < 0.5 * len(RATIOS)
+    assert {shape[1] for shape in calls} == {2}
+    np.testing.assert_array_equal(again.amplitude_ratio, both["follow"].amplitude_ratio)
 
 
 def test_a_sweep_without_contact_marches_to_its_first_points_only(rig):

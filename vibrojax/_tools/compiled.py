@@ -21,7 +21,6 @@ from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, overload
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -91,11 +90,15 @@ def _described(thing: Any) -> bytes:
     return buffer.getvalue()
 
 
+_new_array = jax.jit(lambda: 0.0)
+"""Is traced where anything new is; the cheapest way to ask."""
+
+
 def is_alone(tree: Any) -> bool:
     """Whether a call with these arrays is a program, not a part of a transformation or a check."""
     arrays = [a for a in jax.tree.leaves(tree) if has_shape(a)]
     # Inside of jit, and of loops and the like, every new array is traced.
-    if any(isinstance(a, Tracer) for a in (*arrays, jnp.zeros(()))):
+    if any(isinstance(a, Tracer) for a in (*arrays, _new_array())):
         return False
     if any(getattr(jax.config, f"jax_{name}") for name in STEP_BY_STEP):
         return False

@@ -14,18 +14,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
-from vibrojax.steady.following import (
-    FollowedLanes,
-    advance,
-    begin_track,
-    can_follow,
-    keeps_to_contacts,
-    no_tracks,
-    size_of,
-)
+from vibrojax.steady.following import FollowedLanes, advance, size_of
 from vibrojax.steady.lane_table import LaneTable, table_of
-from vibrojax.steady.pool_programs import filled, measure_some, widths_for
+from vibrojax.steady.pool_programs import (
+    filled,
+    measured,
+    targets_for,
+    widths_for,
+    widths_to_measure,
+)
 from vibrojax.steady.settling import is_stable
+from vibrojax.steady.tracks import begin_track, can_follow, keeps_to_contacts, no_tracks
 from vibrojax.stepping.elementary import apply_matrix
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 
@@ -218,29 +217,32 @@ def folds_ahead(
     rigs, found = table_of(march, xp=np), np.full(len(rig), np.nan)
     weight = np.asarray(march.energy_weight()).T
     left = np.flatnonzero(can_follow(rigs.columns(), len(weight))[rig])
-    widths = widths_for(len(left))
+    widths, to_measure = widths_for(len(left)), widths_to_measure(len(left))
     for own in np.split(left, np.arange(widths[-1], len(left), widths[-1])):
         if not len(own):
             continue
         lanes = filled(own, widths)
         system, one = rigs.pick(rig[lanes]), np.ones(len(lanes), np.int32)
+        unit, every = weight[rig[lanes]], np.arange(len(lanes))
         begin, w = state[lanes], angular_frequency[lanes]
-        _, _, measures = measure_some(system, begin, w, one).columns()
+        _, _, measures = measured(system, every, begin, w, one, to_measure)
         tracks = no_tracks(len(lanes), begin.shape[1])
         track = tracks.columns()
-        unit = weight[rig[lanes]]
-        begin_track(track, np.arange(len(lanes)), begin * unit, w, measures.events)
-        solved = advance(system, tracks, w)
-        _, here = solved.columns()
-        tracks.numbers[:] = np.asarray(solved.numbers)[:, : tracks.numbers.shape[1]]
+        begin_track(track, every, begin * unit, w, measures.events)
+        targets = np.full((targets_for(len(lanes)), len(lanes)), np.nan)
+        targets[0] = w
+        pace = np.full((2, len(lanes)), np.inf)
+        solved, _ = advance(system, tracks, targets, pace, np.asarray(0))
+        numbers = np.asarray(solved.numbers)[: len(lanes), : tracks.numbers.shape[1]]
+        tracks.numbers[:] = numbers
         ahead = fold_ahead(system, tracks, way[lanes]).columns()
-        good = (here.good > 0) & (ahead.found > 0)
+        good = (track.known > 0) & (ahead.found > 0)
         # What is marched has to be finite.
         at, w = (
             np.where(good[:, None], ahead.state, begin),
             np.where(good, ahead.angular_frequency, w),
         )
-        end, _, measures = measure_some(system, at, w, one).columns()
+        end, _, measures = measured(system, every, at, w, one, to_measure)
         track.times[:, 0] = ahead.times
         good &= keeps_to_contacts(track, measures.events, at * unit, (end - at) * unit)
         found[own] = np.where(good, w, np.nan)[: len(own)]

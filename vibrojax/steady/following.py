@@ -5,6 +5,7 @@ It is taken if it is stable, keeps to the contacts of the last one and is its co
 is for the march to find out, as where a branch ends.
 """
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -18,12 +19,11 @@ from vibrojax.steady.contact_times import Events
 from vibrojax.steady.known_contacts import KnownContacts, Passage
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.settling import NEAR, is_stable
+from vibrojax.steady.tracks import TURN, Track, no_track
 from vibrojax.stepping.contact_loop import ContactLoop
-from vibrojax.stepping.contact_phases import may_resonate
 from vibrojax.stepping.elementary import apply_matrix, pick
 from vibrojax.stepping.forcing import Forcing
-from vibrojax.stepping.measures import MOST_EVENTS, EventLog
-from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
+from vibrojax.stepping.stepper import ExactMarch
 
 lax = jax.lax
 
@@ -42,29 +42,12 @@ STRAIGHT = 1e-3
 """Steps shorter than this, over the size of the motion, may be bent."""
 FARTHEST = 3.0
 """Longest way beyond the last two points, over their distance, to which a cubic goes on."""
+MORE = 8
+"""Steps beyond one for each of several frequencies."""
+SHORTEST = 0.12
+"""Shortest step towards a frequency, over all of the way from the last one."""
 CLOSE = 0.1
 """Drive angle (rad) between the section and a change of contact below which the section moves."""
-TURN = 2 * np.pi
-RETURNED = 1e-7
-"""How near a motion has to come back to itself."""
-EDGE = 1e-6
-"""Drive angle, rad, that is as good as phase 0."""
-
-
-class Track(NamedTuple):
-    """The motion of a lane at the last two points, the newest first."""
-
-    events: Events
-    known: Int[Array, "..."]
-    """How many of the points are exact; 0 where the newest is a guess, -1 where there is none."""
-    frequency: Float[Array, "... 2"]
-    """rad/s."""
-    state: Float[Array, "... 2 states"]
-    """At the section, in units of energy."""
-    times: Float[Array, "... 2 events"]
-    state_slope: Float[Array, "... 2 states"]
-    """By the drive frequency."""
-    times_slope: Float[Array, "... 2 events"]
 
 
 class Followed(NamedTuple):
@@ -75,43 +58,6 @@ class Followed(NamedTuple):
     state: Float[Array, "... states"]
     """(q, q') at drive phase 0."""
     rounds: Int[Array, "..."]
-
-
-def no_tracks(lanes: int, states: int) -> LaneTable:
-    """Return the tracks of lanes of which nothing is known."""
-
-    def zeros(*shape: int) -> Any:
-        return np.zeros((*shape, lanes))
-
-    stop: Any = np.full((MOST_EVENTS, lanes), -1, np.int32)
-    track = Track(
-        events=Events(stop, zeros().astype(np.int32), zeros()),
-        known=(zeros() - 1).astype(np.int32),
-        frequency=zeros(2) + 1,
-        state=zeros(2, states),
-        times=zeros(2, MOST_EVENTS),
-        state_slope=zeros(2, states),
-        times_slope=zeros(2, MOST_EVENTS),
-    )
-    return table_of(track, xp=np)
-
-
-def begin_track(
-    track: Any,
-    lanes: Int[np.ndarray, " lanes"],
-    weighted: Float[np.ndarray, "lanes states"],
-    angular_frequency: Float[np.ndarray, " lanes"],
-    log: EventLog,
-) -> None:
-    """Put motions into some lanes of tracks, of which a march has noted one drive period.
-
-    `track` is the columns of a table of `Track`; all arrays have the lanes leading.
-    """
-    track.events.stop[lanes], track.events.section[lanes] = log.stop, 0.0
-    track.events.first_phase[lanes] = log.first_phase
-    track.known[lanes] = np.where(log.number <= MOST_EVENTS, 0, -1)
-    track.frequency[lanes, 0], track.state[lanes, 0] = angular_frequency, weighted
-    track.times[lanes, 0] = np.where(np.asarray(log.stop) >= 0, log.angle, TURN)
 
 
 class _Solved(NamedTuple):
@@ -345,47 +291,96 @@ def _advanced(
     return new, Followed(good, lanes.at_start(at, found.blocks, found.times), found.rounds)
 
 
+class Pace(NamedTuple):
+    """How far steps towards the next frequency go."""
+
+    stride: Float[Array, "..."]
+    """rad/s, signed; inf where all of the way is to be tried first."""
+    way: Float[Array, "..."]
+    """All of it, rad/s."""
+
+
+class Ahead(NamedTuple):
+    """A step of lanes towards the frequencies ahead of them."""
+
+    track: Track
+    """After the step; as before where the motion is not good."""
+    found: Followed
+    arrived: Bool[Array, "..."]
+    """Whether it is the motion at the next of the frequencies."""
+    ended: Bool[Array, "..."]
+    """Whether there are no steps left to try."""
+    pace: Pace
+
+
+def nothing_ahead(points: int, states: int) -> LaneTable:
+    """Return a table of `Ahead` for so many points, in numpy."""
+    none: Any = np.zeros(points, np.int32)
+    state: Any = np.zeros((states, points))
+    found = Followed(none > 0, state, none)
+    pace = Pace(0.0 * none + jnp.inf, 0.0 * none)
+    return table_of(Ahead(no_track(points, states), found, none > 0, none > 0, pace), xp=np)
+
+
 @compiled
 def advance(
-    march: LaneTable, tracks: LaneTable, angular_frequency: Float[AnyArray, " lanes"]
-) -> LaneTable:
-    """Solve for the motions of lanes at their next frequencies.
+    march: LaneTable,
+    tracks: LaneTable,
+    targets: Float[AnyArray, "targets lanes"],
+    pace: Float[AnyArray, "2 lanes"],
+    still: Int[AnyArray, ""],
+) -> tuple[LaneTable, Int[Array, ""]]:
+    """Solve for the motions of lanes at one frequency after another, rad/s, until one is not good.
 
-    Returns `Track` and `Followed` of all.
+    NaN ends the frequencies of a lane. A motion that is a guess is solved for where it is first. On
+    the way to the first frequency a step that fails is halved, one that does not is doubled. Ends
+    when all but `still` lanes have; returns tables of `Ahead`, all lanes of the first step before
+    those of the second, and the number of steps.
     """
-    own, track, w = march.lanes_last(), tracks.lanes_last(), jnp.asarray(angular_frequency)
-    lanes = FollowedLanes(own, track.events)
-    track, found = _advanced(lanes, track, w)
-    close = _is_close(track.events, track.times[0])
-    moved = lambda track: _section_moved(lanes, track, close)  # noqa: E731
-    return table_of((lax.cond(jnp.any(close), moved, lambda track: track, track), found))
+    own, track, targets = march.lanes_last(), tracks.lanes_last(), jnp.asarray(targets)
+    count, lanes = targets.shape
 
+    def step(track: Track, pace: Pace, reached: Array, going: Array) -> tuple[Ahead, Array, Array]:
+        at = jnp.minimum(reached, count - 1)[None]
+        target, here = jnp.take_along_axis(targets, at, axis=0)[0], track.frequency[0]
+        left, known = target - here, track.known > 0
+        going = going & (reached < count) & jnp.isfinite(target)
+        whole = jnp.abs(left) <= jnp.abs(pace.stride)
+        way = jnp.where(whole, left, pace.stride)
+        w = jnp.where(going & known, jnp.where(whole, target, here + way), here)
+        new, found = _advanced(FollowedLanes(own, track.events), track, w)
+        good = going & found.good
+        arrived = good & (w == target)
+        all_of_it = jnp.where(jnp.isinf(pace.stride), jnp.abs(left), pace.way)
+        # Behind the first frequency the motions there are to be read before steps are halved.
+        first, fails = reached == 0, going & ~good
+        stride = jnp.where(fails & first, way / 2, jnp.where(good & ~whole, 2 * way, pace.stride))
+        pace = Pace(jnp.where(arrived | ~known, jnp.inf, stride), all_of_it)
+        ended = fails & first & (~known | (jnp.abs(way) / 2 < SHORTEST * all_of_it))
+        track = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, track)
+        close = good & _is_close(track.events, track.times[0])
+        moved = lambda track: _section_moved(  # noqa: E731
+            FollowedLanes(own, track.events), track, close
+        )
+        track = lax.cond(jnp.any(close), moved, lambda track: track, track)
+        found = found._replace(good=good, rounds=jnp.where(going, found.rounds, 0))
+        going = going & ~ended & (good | first)
+        return Ahead(track, found, arrived, ended, pace), reached + arrived, going
 
-def keeps_to_contacts(
-    track: Track,
-    log: EventLog,
-    begun: Float[np.ndarray, "lanes states"],
-    gone: Float[np.ndarray, "lanes states"],
-) -> Bool[np.ndarray, " lanes"]:
-    """Whether motions that were marched for a period keep to the contacts of their tracks.
+    none = jnp.zeros(lanes, jnp.int32)
+    like = nothing_ahead(lanes, own.energy_weight().shape[0])
+    room = jnp.zeros((count + MORE * (count > 1), *like.numbers.shape))
 
-    `log` is what the march met, `begun` where it began and `gone` how far from there it ended,
-    both in units of energy.
-    """
-    size = np.maximum(np.linalg.norm(begun, axis=1), 1e-300)
-    returned = np.linalg.norm(gone, axis=1) / size
-    used = track.events.stop >= 0
-    angle = np.where(used, track.times[:, 0], np.pi)
-    # A change of contact at drive phase 0 may count at the beginning, at the end or not at all.
-    edge = np.any(np.abs(angle - TURN * np.round(angle / TURN)) < EDGE, axis=1)
-    more = np.abs(np.asarray(log.number) - used.sum(axis=1))
-    return (returned <= RETURNED) & (more <= np.where(edge, 1, 0))
+    def goes_on(carry: tuple[Any, ...]) -> Array:
+        steps, *_, going, _ = carry
+        return (steps < len(room)) & (jnp.sum(going) > still)
 
+    def on(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        steps, track, pace, reached, going, rows = carry
+        ahead, reached, going = step(track, pace, reached, going)
+        rows = lax.dynamic_update_index_in_dim(rows, table_of(ahead).numbers, steps, 0)
+        return steps + 1, ahead.track, ahead.pace, reached, going, rows
 
-def can_follow(march: AbstractMarch, rigs: int) -> Bool[np.ndarray, " rigs"]:
-    """Which rigs' motions can be followed: with linear stops, and no mode without damping.
-
-    Rigs are the leading axis of the arrays of `march`."""
-    if not isinstance(march, ExactMarch):
-        return np.zeros(rigs, bool)
-    return ~may_resonate(march.phases)
+    begin = jnp.int32(0), track, Pace(*jnp.asarray(pace)), none, none == 0, room
+    steps, *_, rows = lax.while_loop(goes_on, on, begin)
+    return replace(like, numbers=rows.reshape(-1, rows.shape[-1])), steps

@@ -10,57 +10,33 @@ marches on to the full tolerance.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from vibrojax.results.status import Status
-from vibrojax.steady.following import (
-    advance,
-    begin_track,
-    can_follow,
-    keeps_to_contacts,
-    no_tracks,
-)
+from vibrojax.steady.following import advance, nothing_ahead
 from vibrojax.steady.lane_table import LaneTable, table_of
-from vibrojax.steady.pool_programs import filled, march_some, measure_some, polish_some, widths_for
+from vibrojax.steady.pool_programs import (
+    filled,
+    march_some,
+    measured,
+    polish_some,
+    targets_for,
+    widths_for,
+    widths_to_measure,
+)
+from vibrojax.steady.settled import Onwards, Settled
 from vibrojax.steady.settling import APERIODIC_PERIODS, CLOSED, NEAR, begin_search
-from vibrojax.stepping.measures import Measures
+from vibrojax.steady.tracks import begin_track, can_follow, keeps_to_contacts, no_tracks
 from vibrojax.stepping.resonance import is_unbounded
 from vibrojax.stepping.stepper import AbstractMarch
 
-SHORTEST = 0.12
-"""Shortest step of lanes that are followed, over the way to their next frequency."""
-
 MARCH, POLISH, MEASURE, ORIENT, FOLLOW, READ, IDLE = range(7)
-
-
-class Settled(NamedTuple):
-    """Steady states of some lanes, lanes leading."""
-
-    lanes: Int[np.ndarray, " lanes"]
-    state: Float[np.ndarray, "lanes states"]
-    period: Int[np.ndarray, " lanes"]
-    status: Int[np.ndarray, " lanes"]
-    periods_marched: Int[np.ndarray, " lanes"]
-    steps: Int[np.ndarray, " lanes"]
-    window: Int[np.ndarray, " lanes"]
-    """Drive periods measured."""
-    measures: Measures
-
-
-class Onwards(NamedTuple):
-    """Where the lanes that settled go next."""
-
-    active: Bool[np.ndarray, " lanes"]
-    angular_frequency: Float[np.ndarray, " lanes"]
-    """rad/s; of no meaning where a lane is not active any more."""
-    state: Float[np.ndarray, "lanes states"]
-    goes_on: Bool[np.ndarray, " lanes"]
-    """Whether a lane goes on from its last motion; else, again from the one before."""
 
 
 class LanePool:
@@ -87,7 +63,7 @@ class LanePool:
         """Which lanes are followed where that can be."""
         self.tolerance, self.max_period = tolerance, max_period
         self.max_periods = jnp.asarray(max_periods)
-        self.widths = widths_for(len(rig))
+        self.widths, self.widths_to_measure = widths_for(len(rig)), widths_to_measure(len(rig))
 
     def run(
         self,
@@ -95,12 +71,15 @@ class LanePool:
         angular_frequency: Float[np.ndarray, " lanes"],
         onwards: Callable[[Settled], Onwards],
         report: Callable[[int], object] = lambda count: None,
+        ahead: Callable[[np.ndarray, int], np.ndarray] | None = None,
     ) -> None:
         """Settle all lanes, again and again, until none is sent on any more.
 
         `onwards` takes note of the steady states of some lanes and says where they go next;
-        `report` takes numbers of points reached.
+        `report` takes numbers of points reached. `ahead` says to which frequencies (rad/s) some
+        lanes go after the next, shape (a number of them, lanes), NaN where there are no more.
         """
+        self.onwards, self.report, self.ahead = onwards, report, ahead
         count = len(self.rig)
         self.frequency, self.state = np.array(angular_frequency, float), np.array(state, float)
         self.march.check_steps(np.asarray(self.rig), self.frequency)
@@ -112,9 +91,13 @@ class LanePool:
         self.tracks, self.tracks_before = (no_tracks(count, self.state.shape[1]) for _ in range(2))
         """The last motion of a lane, and the one before."""
         self.track: Any = self.tracks.columns()
-        self.stride, self.least_stride = np.zeros((2, count))
-        """Way (rad/s) that is tried next, and at the least, before a lane is marched."""
-        self.arrived_at = self.state.copy()
+        self.pace = np.full((count, 2), np.inf)
+        """Rows of `Pace`."""
+        most = targets_for(self.widths[0])
+        self.points = nothing_ahead(count * most, self.state.shape[1])
+        """Points of lanes that have been followed, so many rows for each."""
+        self.passed, self.rounds = np.zeros(count, int), np.zeros((count, most), int)
+        """How many there are to read, and the rounds up to each."""
         self.oriented = np.zeros(count, bool)
         """Whether a lane has marched to where it is to be solved for, not followed."""
         every = np.ones(count, bool)
@@ -130,24 +113,27 @@ class LanePool:
             elif stage == POLISH:
                 self._run_polish(*self._batch_of_like(chosen, self.wanted))
             elif stage == FOLLOW:
-                self._run_follow(*self._batch_of_like(chosen, np.minimum(self.track.known, 1)))
+                self._run_follow(*self._batch(chosen))
             elif stage == READ:
-                settled = self._read(*self._batch(chosen))
-                if len(settled.lanes):
-                    self._send(settled.lanes, onwards(settled))
-                    report(len(settled.lanes))
+                self._read(self._batch(chosen)[0])
             elif stage == ORIENT:
-                self._orient(*self._batch(chosen))
+                self._orient(chosen)
             else:
                 window = np.where(self.period > 0, self.period, APERIODIC_PERIODS)
-                own, lanes = self._batch_of_like(chosen, window)
-                self._send(own, onwards(self._measured(own, lanes, window[lanes])))
-                report(len(own))
+                own, _ = self._batch_of_like(chosen, window)
+                self._arrive(self._measured(own, window[own]))
+
+    def _arrive(self, settled: Settled) -> None:
+        """Hand over the steady states of some lanes, and send them on."""
+        self._send(settled.lanes, self.onwards(settled))
+        self.report(len(settled.lanes))
 
     def _fresh(self, weighted: np.ndarray) -> LaneTable:
         return table_of(begin_search(weighted.T, self.max_period, np), xp=np)
 
     def _send(self, lanes: np.ndarray, onwards: Onwards) -> None:
+        last = np.diff(lanes, append=-1) != 0  # of the points of a lane
+        lanes, onwards = lanes[last], Onwards(*(a[last] for a in onwards))
         active, frequency, self.state[lanes], goes_on = onwards
         back, on = lanes[~goes_on], lanes[goes_on]
         self.tracks.numbers[back] = self.tracks_before.numbers[back]
@@ -156,14 +142,15 @@ class LanePool:
         first = np.where(self.track.known[lanes] >= 0, FOLLOW, MARCH)
         first = np.where(self._grows(lanes), MEASURE, first)
         self.stage[lanes] = np.where(active, first, IDLE)
-        self.stride[lanes] = self.frequency[lanes] - self.track.frequency[lanes, 0]
-        self.least_stride[lanes] = SHORTEST * np.abs(self.stride[lanes])
-        self.search.steps[lanes], self.oriented[lanes] = 0, False
-        self._refresh(lanes)
-        self.limit[lanes] = NEAR
+        self.pace[lanes] = np.inf
+        self.search.steps[lanes], self.search.marched[lanes] = 0, 0
+        self.oriented[lanes], self.limit[lanes] = False, NEAR
+        self._refresh(lanes[self.stage[lanes] == MARCH])
 
     def _refresh(self, lanes: np.ndarray) -> None:
         """Begin a search where lanes are."""
+        if not len(lanes):
+            return
         steps = self.search.steps[lanes]
         self.searches.numbers[lanes] = self._fresh(self.state[lanes] * self.weight[lanes]).numbers
         self.search.steps[lanes] = steps
@@ -176,10 +163,12 @@ class LanePool:
         """March of some lanes, each with its rig."""
         return self.rigs.pick(self.rig[lanes])
 
-    def _marched(self, own: np.ndarray, lanes: np.ndarray, state: np.ndarray, window: np.ndarray):
-        """March lanes over windows; of their own the states, the steps, and what was measured."""
-        marched = measure_some(self._own(lanes), state, self.frequency[lanes], window)
-        return marched.pick(slice(len(own))).columns()
+    def _marched(
+        self, lanes: np.ndarray, state: np.ndarray, frequency: np.ndarray, window: np.ndarray
+    ) -> Any:
+        """March lanes over windows: where they end, the steps, and what was measured."""
+        widths = self.widths_to_measure
+        return measured(self.rigs, self.rig[lanes], state, frequency, window, widths)
 
     def _batch(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the lanes of one loop and the same filled up to its width."""
@@ -228,29 +217,47 @@ class LanePool:
         self.stage[lanes] = np.where(over, MEASURE, MARCH)
 
     def _run_follow(self, own: np.ndarray, lanes: np.ndarray) -> None:
-        """Follow lanes towards their frequencies; what arrives is to be read.
+        """Follow lanes towards their frequencies, and from there on to those behind them.
 
-        Motions that are not known well yet are solved for where they are. Where a step fails it is
-        halved, and at last the lane is marched from its last motion.
+        What cannot be followed any further is marched from its last motion.
         """
-        n, known, here = len(own), self.track.known[lanes] > 0, self.track.frequency[lanes, 0]
-        left = self.frequency[lanes] - here
-        whole = np.abs(left) <= np.abs(self.stride[lanes])
-        to = np.where(whole, self.frequency[lanes], here + self.stride[lanes])
-        at = np.where(known, to, here)
-        advanced = advance(self._own(lanes), self.tracks.pick(lanes), at)
-        _, found = advanced.columns()
-        good, known, arrives = found.good[:n] > 0, known[:n], whole[:n] & known[:n]
-        numbers = self.tracks.numbers
-        numbers[own] = np.asarray(advanced.numbers)[:n, : numbers.shape[1]]
-        self.search.steps[own] += found.rounds[:n]
-        self.stride[own] = np.where(known, (at - here)[:n] * np.where(good, 2.0, 0.5), left[:n])
-        self.arrived_at[own[good]] = found.state[:n][good]
-        passed = own[good & ~arrives & ~self.oriented[own]]
-        self.state[passed] = self.arrived_at[passed]
-        arrives |= self.oriented[own] & (self.track.known[own] > 0)
-        self.stage[own[good & arrives]] = READ
-        self._give_up(own[~good & (~known | (np.abs(self.stride[own]) < self.least_stride[own]))])
+        n, targets = len(own), np.full((targets_for(len(lanes)), len(lanes)), np.nan)
+        targets[0] = self.frequency[lanes]
+        if self.ahead is not None:
+            targets[1:] = self.ahead(lanes, len(targets) - 1)
+        given = self._own(lanes), self.tracks.pick(lanes), targets, self.pace[lanes].T
+        table, steps = advance(*given, np.asarray(n // 4))
+        # The steps of a lane one after the other.
+        rows = np.asarray(table.numbers).reshape(-1, len(lanes), table.numbers.shape[-1])
+        rows = rows[: int(steps), :n].swapaxes(0, 1)
+        self.tracks.numbers[own] = rows[:, -1, : self.tracks.numbers.shape[1]]
+        every = replace(table, numbers=rows.reshape(-1, rows.shape[-1])).columns()
+        good, arrived, ended, state, rounds, *pace = (
+            a.reshape(*rows.shape[:2], *a.shape[1:])
+            for a in (
+                *(every.found.good > 0, every.arrived > 0, every.ended > 0),
+                *(every.found.state, every.found.rounds, *every.pace),
+            )
+        )
+        self.pace[own] = np.stack([a[:, -1] for a in pace], axis=1)
+        reads, rounds = arrived.any(axis=1), np.cumsum(rounds, axis=1)
+        # Those that are on their way, or cannot be followed.
+        self.search.steps[own[~reads]] += rounds[~reads, -1]
+        came = ~reads & good.any(axis=1) & ~self.oriented[own]
+        last = good.shape[1] - 1 - np.argmax(good[came, ::-1], axis=1)
+        self.state[own[came]] = state[came, last]
+        self._give_up(own[ended.any(axis=1)])
+        # The steps that arrived, in order.
+        order = np.argsort(~arrived[reads], axis=1, kind="stable")[:, : len(targets)]
+        k, to, place = np.flatnonzero(reads)[:, None], own[reads], np.arange(order.shape[1])
+        self.points.numbers[self._rows(to)[:, place]] = rows[k, order]
+        self.rounds[to[:, None], place] = rounds[k, order]
+        self.stage[to], self.passed[to] = READ, arrived[reads].sum(axis=1)
+
+    def _rows(self, lanes: np.ndarray) -> np.ndarray:
+        """Rows of the points of some lanes, (lanes, points)."""
+        most = self.rounds.shape[1]
+        return lanes[:, None] * most + np.arange(most)
 
     def _give_up(self, lanes: np.ndarray) -> None:
         """March lanes that cannot be followed, or go on with those that have marched."""
@@ -258,37 +265,49 @@ class LanePool:
         self.stage[lanes] = np.where(self.oriented[lanes], POLISH, MARCH)
         self._refresh(lanes[~self.oriented[lanes]])
 
-    def _orient(self, own: np.ndarray, lanes: np.ndarray) -> None:
+    def _orient(self, own: np.ndarray) -> None:
         """Note the contacts of lanes that have marched near to a motion, to solve for it."""
-        one = np.ones(len(lanes), np.int32)
-        _, steps, measures = self._marched(own, lanes, self.state[lanes], one)
+        one = np.ones(len(own), np.int32)
+        _, steps, measures = self._marched(own, self.state[own], self.frequency[own], one)
         weighted = self.state[own] * self.weight[own]
         begin_track(self.track, own, weighted, self.frequency[own], measures.events)
         self.oriented[own], self.stage[own] = True, FOLLOW
         self.search.steps[own] += steps
         self._give_up(own[self.track.known[own] < 0])
 
-    def _read(self, own: np.ndarray, lanes: np.ndarray) -> Settled:
-        """Measure motions that have been followed; return those that keep to their contacts."""
-        one = np.ones(len(lanes), np.int32)
-        end, steps, measures = self._marched(own, lanes, self.arrived_at[lanes], one)
-        arrived, weight = self.arrived_at[own], self.weight[own]
-        track, gone = self.tracks.pick(own).columns(), (end - arrived) * weight
-        keeps = keeps_to_contacts(track, measures.events, arrived * weight, gone)
-        self.search.steps[own] += steps
-        self._give_up(own[~keeps])
-        own, measures = own[keeps], jax.tree.map(lambda a: a[keeps], measures)
-        one = np.ones(len(own), np.int32)
-        return Settled(
-            lanes=own,
-            state=self.arrived_at[own],
-            period=one,
-            status=one * Status.settled.value,
-            periods_marched=self.search.marched[own].astype(np.int32),
-            steps=self.search.steps[own].astype(np.int32),
-            window=one,
-            measures=measures._replace(events=None),
+    def _read(self, lanes: np.ndarray) -> None:
+        """Measure motions that have been followed; hand over those that keep to their contacts.
+
+        A lane has several points one after the other: it ends before the first that does not.
+        """
+        there = np.arange(self.rounds.shape[1]) < self.passed[lanes, None]
+        own, rounds = (
+            np.repeat(lanes, self.passed[lanes]),
+            np.diff(self.rounds[lanes], axis=1, prepend=0)[there],
         )
+        points = self.points.pick(self._rows(lanes)[there]).columns()
+        track, state = points.track, points.found.state
+        one, weight = np.ones(len(own), np.int32), self.weight[own]
+        end, steps, measures = self._marched(own, state, track.frequency[:, 0], one)
+        gone = (end - state) * weight
+        bad = ~keeps_to_contacts(track, measures.events, state * weight, gone)
+        first, lost = np.diff(own, prepend=-1) != 0, np.cumsum(bad)
+        begun = np.maximum.accumulate(np.where(first, np.arange(len(own)), 0))
+        at = np.flatnonzero(lost == (lost - bad)[begun])
+        lanes, steps = own[at], self.search.steps[own] * first + steps + rounds
+        if len(at):
+            settled = Settled(
+                lanes=lanes,
+                state=state[at],
+                period=one[at],
+                status=one[at] * Status.settled.value,
+                periods_marched=(self.search.marched[lanes] * first[at]).astype(np.int32),
+                steps=steps[at].astype(np.int32),
+                window=one[at],
+                measures=jax.tree.map(lambda a: a[at], measures._replace(events=None)),
+            )
+            self._arrive(settled)
+        self._give_up(np.unique(own[bad]))
 
     def _run_polish(self, own: np.ndarray, lanes: np.ndarray) -> None:
         state, good = polish_some(
@@ -313,22 +332,21 @@ class LanePool:
             own = settled[(self.period[settled] % part == 0) & (self.period[settled] > part)]
             if not len(own):
                 continue
-            lanes = filled(own, self.widths)
-            window = np.full(len(lanes), part, np.int32)
-            end, _, _ = self._marched(own, lanes, self.state[lanes], window)
+            window = np.full(len(own), part, np.int32)
+            end, _, _ = self._marched(own, self.state[own], self.frequency[own], window)
             gone = (end - self.state[own]) * self.weight[own]
             size = np.linalg.norm(self.state[own] * self.weight[own], axis=1)
             self.period[own[np.linalg.norm(gone, axis=1) <= CLOSED * size]] = part
 
-    def _measured(self, own: np.ndarray, lanes: np.ndarray, window: np.ndarray) -> Settled:
-        state, grows, n = self.state[lanes], self._grows(lanes), len(own)
+    def _measured(self, own: np.ndarray, window: np.ndarray) -> Settled:
+        state, grows = self.state[own], self._grows(own)
         gave_up = np.any(np.isinf(state), axis=1)
         lost = grows | ~np.all(np.isfinite(state), axis=1)
         # A lane that is lost starts again from rest at the next frequency.
         state = np.where(lost[:, None], 0.0, state)
         window = np.where(lost, 0, window).astype(np.int32)
-        end, steps, measures = self._marched(own, lanes, state, window)
-        lost, self.track.known[own] = lost[:n], -1
+        end, steps, measures = self._marched(own, state, self.frequency[own], window)
+        self.track.known[own] = -1
         one = ~lost & (self.period[own] == 1) & self.follow[own]
         if one.any():
             log, at = jax.tree.map(lambda a: a[one], measures.events), own[one]
@@ -339,44 +357,14 @@ class LanePool:
         goes_on = (period == 0) & np.isfinite(end).all(axis=1)
         kind = np.where(period > 0, Status.settled.value, Status.aperiodic.value)
         words = Status.unbounded, Status.gave_up, Status.diverged
-        status = np.select([grows[:n], gave_up[:n], lost], [w.value for w in words], kind)
+        status = np.select([grows, gave_up, lost], [w.value for w in words], kind)
         return Settled(
             lanes=own,
-            state=np.where(goes_on[:, None], end, state[:n]),
+            state=np.where(goes_on[:, None], end, state),
             period=period,
             status=status.astype(np.int32),
             periods_marched=self.search.marched[own].astype(np.int32),
             steps=(self.search.steps[own] + steps).astype(np.int32),
-            window=np.maximum(window[:n], 1),
+            window=np.maximum(window, 1),
             measures=measures._replace(events=None),
         )
-
-
-def settle(
-    march: AbstractMarch,
-    state: Float[np.ndarray, "lanes states"],
-    angular_frequency: Float[np.ndarray, " lanes"],
-    *,
-    tolerance: float,
-    max_period: int,
-    max_periods: int,
-) -> Settled:
-    """Bring lanes, each with a rig of its own, to their steady states at one frequency (rad/s).
-
-    `tolerance` is relative to the size of the state in the norm of energy. Whether a lane would
-    grow without bound is not looked at.
-    """
-    parts: list[Settled] = []
-
-    def last(settled: Settled) -> Onwards:
-        parts.append(settled)
-        nowhere = np.zeros(len(settled.lanes), bool)
-        return Onwards(nowhere, np.ones(nowhere.shape), settled.state, ~nowhere)
-
-    rig, none = np.arange(len(state)), np.zeros((0, len(state)))
-    LanePool(march, rig, none, tolerance, max_period, max_periods).run(
-        state, angular_frequency, last
-    )
-    whole: Settled = jax.tree.map(lambda *a: np.concatenate(a), *parts)
-    order = np.argsort(whole.lanes)
-    return jax.tree.map(lambda a: a[order], whole)

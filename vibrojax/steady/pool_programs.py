@@ -1,16 +1,24 @@
 """The programs that a pool of lanes runs, in widths that compile once."""
 
+from dataclasses import replace
+from typing import Any
+
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 
 from vibrojax._tools.compiled import compiled
-from vibrojax.steady.following import advance, no_tracks
-from vibrojax.steady.lane_table import table_of
+from vibrojax.steady.following import advance
+from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.settling import begin_search, found_period, march_until, polish
+from vibrojax.steady.tracks import no_tracks
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 
 WIDTHS = {"cpu": (2, 16, 128), "gpu": (64, 1024, 8192)}
 """How many lanes run side by side in one loop: on a CPU their tables have to stay in the cache."""
+POINTS = 64
+"""Of all lanes together for which motions are solved in one call, one of each at the least: calls
+cost more than few lanes take, but many lanes would wait for the one that gets furthest."""
 
 
 @compiled
@@ -44,10 +52,38 @@ def widths_for(lanes: int) -> tuple[int, ...]:
     return widths[max(1, enough - 1) : enough + 1] if enough else widths[:1]
 
 
+def widths_to_measure(lanes: int) -> tuple[int, ...]:
+    """Return the widths in which points of so many lanes are measured: few lanes have several."""
+    widths = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])
+    return widths_for(lanes) if lanes > widths[1] else widths[1:2]
+
+
+def targets_for(width: int) -> int:
+    """Return how many points ahead motions are solved for in one call."""
+    return max(1, POINTS // width)
+
+
 def filled(own: np.ndarray, widths: tuple[int, ...]) -> np.ndarray:
     """Return some lanes, the last again and again up to the next width."""
     width = next(w for w in widths if w >= len(own))
     return own[np.minimum(np.arange(width), len(own) - 1)]
+
+
+def measured(
+    rigs: LaneTable,
+    rig: Int[np.ndarray, " points"],
+    state: Float[np.ndarray, "points states"],
+    frequency: Float[np.ndarray, " points"],
+    window: Int[np.ndarray, " points"],
+    widths: tuple[int, ...],
+) -> Any:
+    """March rigs over windows, with measures: where they end, steps and measures, in numpy."""
+    parts = []
+    for own in np.split(np.arange(len(rig)), np.arange(widths[-1], len(rig), widths[-1])):
+        at = filled(own, widths)
+        table = measure_some(rigs.pick(rig[at]), state[at], frequency[at], window[at])
+        parts.append(table.pick(slice(len(own))))
+    return replace(parts[0], numbers=np.concatenate([part.numbers for part in parts])).columns()
 
 
 def compile_ahead(march: AbstractMarch, lanes: int, max_period: int, follow: bool) -> None:
@@ -61,8 +97,12 @@ def compile_ahead(march: AbstractMarch, lanes: int, max_period: int, follow: boo
         search = table_of(begin_search(state.T, max_period, np), xp=np)
         whole = np.ones(width, np.int32)
         march_some.ahead(own, search, ones, ones, np.asarray(0), np.int32(0))
-        measure_some.ahead(own, state, ones, whole)
         if follow and isinstance(march, ExactMarch):
-            advance.ahead(own, no_tracks(width, states), ones)
+            targets = np.ones((targets_for(width), width))
+            tracks, pace = no_tracks(width, states), np.ones((2, width))
+            advance.ahead(own, tracks, targets, pace, np.asarray(0))
         else:
             polish_some.ahead(own, state, ones, whole)
+    for width in reversed(widths_to_measure(lanes)):
+        own, state = table_of(march, lanes=width), np.zeros((width, states))
+        measure_some.ahead(own, state, np.ones(width), np.ones(width, np.int32))

@@ -13,9 +13,15 @@ from vibrojax.model.first_order import first_order
 from vibrojax.model.systems import Motion
 from vibrojax.steady.batches import one_or_many, take
 from vibrojax.steady.condensed import cell_average
-from vibrojax.steady.lane_pool import settle
+from vibrojax.steady.lane_pool import LanePool
 from vibrojax.steady.paths import AbstractPath, FrequencyPath
-from vibrojax.stepping.stepper import AbstractStepper, ExactContact, ExponentialSplitting
+from vibrojax.steady.settled import Onwards, Settled
+from vibrojax.stepping.stepper import (
+    AbstractMarch,
+    AbstractStepper,
+    ExactContact,
+    ExponentialSplitting,
+)
 
 lax = jax.lax
 
@@ -31,6 +37,36 @@ LANES = 32
 def stepper(exact: bool) -> AbstractStepper:
     """Return the method that suits the stops."""
     return ExactContact(1e-6) if exact else ExponentialSplitting(1e-4)
+
+
+def settle(
+    march: AbstractMarch,
+    state: Float[np.ndarray, "lanes states"],
+    angular_frequency: Float[np.ndarray, " lanes"],
+    *,
+    tolerance: float,
+    max_period: int,
+    max_periods: int,
+) -> Settled:
+    """Bring lanes, each with a rig of its own, to their steady states at one frequency (rad/s).
+
+    `tolerance` is relative to the size of the state in the norm of energy. Whether a lane would
+    grow without bound is not looked at.
+    """
+    parts: list[Settled] = []
+
+    def last(settled: Settled) -> Onwards:
+        parts.append(settled)
+        nowhere = np.zeros(len(settled.lanes), bool)
+        return Onwards(nowhere, np.ones(nowhere.shape), settled.state, ~nowhere)
+
+    rig, none = np.arange(len(state)), np.zeros((0, len(state)))
+    LanePool(march, rig, none, tolerance, max_period, max_periods).run(
+        state, angular_frequency, last
+    )
+    whole: Settled = jax.tree.map(lambda *a: np.concatenate(a), *parts)
+    order = np.argsort(whole.lanes)
+    return jax.tree.map(lambda a: a[order], whole)
 
 
 def settled_motion(

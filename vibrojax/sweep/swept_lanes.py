@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 from vibrojax.results.status import LOST, Status
 from vibrojax.steady import pool_programs
 from vibrojax.steady.fold_ahead import compile_fold_ahead, folds_ahead
-from vibrojax.steady.lane_pool import LanePool, Onwards, Settled
+from vibrojax.steady.lane_pool import LanePool
+from vibrojax.steady.settled import Onwards, Settled
 from vibrojax.stepping.measures import ratios_of
 from vibrojax.stepping.prepared_rigs import Prepared
 from vibrojax.stepping.resonance import is_unbounded
@@ -72,26 +73,33 @@ class _Grid:
         self.curves: dict[str, np.ndarray] = {}
         self.states = np.empty((lanes, len(plan.grid), states))
 
-    def column(self, lanes: np.ndarray) -> np.ndarray:
-        """Where in the grid some lanes are, held inside where they are through."""
+    def column(self, lanes: np.ndarray, more: int | np.ndarray = 0) -> np.ndarray:
+        """Where in the grid some lanes are after so many more, held inside beyond its end."""
         last = len(self.grid) - 1
-        at = np.minimum(self.visited[lanes], last)
+        at = np.minimum(self.visited[lanes] + more, last)
         return np.where(self.backward[lanes], last - at, at)
 
-    def frequency(self, lanes: np.ndarray) -> np.ndarray:
+    def frequency(self, lanes: np.ndarray, more: int | np.ndarray = 0) -> np.ndarray:
         """Angular frequency of some lanes, rad/s."""
-        return self.grid[self.column(lanes)] * self.unit[lanes]
+        return self.grid[self.column(lanes, more)] * self.unit[lanes]
+
+    def ahead(self, lanes: np.ndarray, count: int) -> np.ndarray:
+        """Angular frequencies after the next one, (count, lanes); NaN beyond the grid."""
+        more = np.arange(1, count + 1)[:, None]
+        there = self.visited[lanes] + more < len(self.grid)
+        return np.where(there, self.frequency(lanes, more), np.nan)
 
     def onwards(self, arrived: Settled) -> Onwards:
         """Store the steady states of some lanes and send them to the next point of the grid."""
-        k = arrived.lanes
-        at = self.column(k)
+        k, every = arrived.lanes, np.arange(len(arrived.lanes))
+        first = np.where(np.diff(k, prepend=-1) != 0, every, 0)
+        at = self.column(k, every - np.maximum.accumulate(first))
         for name, values in _variables(arrived, self.reference[k]).items():
             if name not in self.curves:
                 self.curves[name] = np.empty((len(self.visited), len(self.grid)), values.dtype)
             self.curves[name][k, at] = values
         self.states[k, at] = arrived.state
-        self.visited[k] += 1
+        np.add.at(self.visited, k, 1)
         going = np.ones(len(k), bool)
         return Onwards(self.visited[k] < len(self.grid), self.frequency(k), arrived.state, going)
 
@@ -175,7 +183,7 @@ def sweep_rigs(
     feed = _Grid(plan, len(rig), states, unit[rig], np.asarray(prepared.reference)[rig])
     every = np.arange(len(rig))
     pool = _pool(plan, prepared, rig)
-    pool.run(np.zeros((len(rig), states)), feed.frequency(every), feed.onwards, report)
+    pool.run(np.zeros((len(rig), states)), feed.frequency(every), feed.onwards, report, feed.ahead)
     shape = (count, ways, len(plan.grid))
     curves = {name: values.reshape(shape) for name, values in feed.curves.items()}
     settled = curves["status"] == Status.settled.value

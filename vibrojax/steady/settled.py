@@ -1,0 +1,33 @@
+"""Steady states that lanes arrive at, and where they are sent next."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrojax.stepping.measures import Measures
+
+
+class Settled(NamedTuple):
+    """Steady states of some lanes, lanes leading; a lane may have several, one after the other."""
+
+    lanes: Int[np.ndarray, " lanes"]
+    state: Float[np.ndarray, "lanes states"]
+    period: Int[np.ndarray, " lanes"]
+    status: Int[np.ndarray, " lanes"]
+    periods_marched: Int[np.ndarray, " lanes"]
+    steps: Int[np.ndarray, " lanes"]
+    window: Int[np.ndarray, " lanes"]
+    """Drive periods measured."""
+    measures: Measures
+
+
+class Onwards(NamedTuple):
+    """Where the lanes that settled go next."""
+
+    active: Bool[np.ndarray, " lanes"]
+    angular_frequency: Float[np.ndarray, " lanes"]
+    """rad/s; of no meaning where a lane is not active any more."""
+    state: Float[np.ndarray, "lanes states"]
+    goes_on: Bool[np.ndarray, " lanes"]
+    """Whether a lane goes on from its last motion; else, again from the one before."""
