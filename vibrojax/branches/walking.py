@@ -69,7 +69,7 @@ class Walk:
         (seen,) = yield Look([here])
         self.add(here, seen)
         begun, step, room = start.parameter, FIRST, 4
-        tries, reached, bounds = 0, 0, (self.low, self.high)
+        tries, reached = 0, 0
         while True:
             found = yield from self.look_ahead(step, room)
             if found is None:
@@ -80,27 +80,37 @@ class Walk:
             count = yield from self.verify(ahead)
             if isinstance(count, Ending):
                 return count
-            last = self.points[-1]
             if count < len(ahead):
-                bad, seen = ahead[count], self.refused
-                assert seen is not None  # of the first that does not fit
-                room, apart = 4, max(bad.way, 2 * SHORTEST)
-                passing = touch_between(self.search, last, bad, seen, apart, bounds)
-                shorter = apart / 4
+                misfit, room = ahead[count], 4
             elif goal is not None:
                 return Ending.turned_back if goal == begun else Ending.completed
             else:
-                full, room = len(ahead) == room, min(2 * room, MOST_AHEAD)
+                misfit, full, room = None, len(ahead) == room, min(2 * room, MOST_AHEAD)
                 if full:
                     continue
-                passing, shorter = vanish(self.search, last, step, bounds), step / 2.5
-            came = self.take((yield from passing))
+            step = yield from self.pass_change(misfit, step)
             tries += 1
-            step = FIRST / 2 if came else shorter
             if step < SHORTEST or tries > MOST_TRIES:
                 if not (yield from self.leap()):
                     return Ending.stuck
                 step, room = FIRST / 2, 4
+
+    def pass_change(self, misfit: OnCurve | None, step: float) -> Steps:
+        """Pass the change of contact ahead; returns the step to go on with.
+
+        It lies before the motion `misfit`, whose contacts do not fit, or, without one, where no
+        motion was found at that step.
+        """
+        last, bounds = self.points[-1], (self.low, self.high)
+        if misfit is None:
+            passing, shorter = vanish(self.search, last, step, bounds), step / 2.5
+        else:
+            assert self.refused is not None
+            apart = max(misfit.way, 2 * SHORTEST)
+            passing = touch_between(self.search, last, misfit, self.refused, apart, bounds)
+            shorter = apart / 4
+        came = self.take((yield from passing))
+        return FIRST / 2 if came else shorter
 
     def look_ahead(self, step: float, room: int) -> Steps:
         """Solve for up to `room` motions: those, the step behind them, the end of the range met.

@@ -107,8 +107,7 @@ class Outlook(eqx.Module):
         if self.pulls:
             return read
         depth, push = jnp.split(read, 2, axis=1)
-        # Contact begins with depth and push, and ends where the push does.
-        return jnp.where(touching | (push[:1] < depth[:1]), push, depth)
+        return jnp.where(_waits_for_push(touching, depth[:1], push[:1]), push, depth)
 
     def crossing(self, touching: Which, read: Array) -> tuple[Array, Which]:
         """When stops change their contact as parabolas have it, s, and whether they do."""
@@ -266,7 +265,7 @@ class Outlook(eqx.Module):
         if self.pulls:
             return place[stop]
         depth, push = place[stop], place[stop + len(place) // 2]
-        by_push = touching | (push[0] < depth[0])
+        by_push = _waits_for_push(touching, depth[0], push[0])
         return jnp.where(by_push, push[0], depth[0]), jnp.where(by_push, push[1], depth[1])
 
     def _above(self, touching: Which, bounds: list[Bounds], more: Array) -> list[Array]:
@@ -302,6 +301,11 @@ class _Grid(NamedTuple):
 
 def _single(numbers: Any) -> Any:
     return jax.tree.map(lambda a: a.astype(jnp.float32), numbers)
+
+
+def _waits_for_push(touching: Array, depth: Array, push: Array) -> Array:
+    """Whether contact changes with the push: it begins with depth and push, and ends with that."""
+    return touching | (push < depth)
 
 
 def _rise(value: Array, slope: Array, bend: Array) -> tuple[Array, Array]:
