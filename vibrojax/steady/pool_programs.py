@@ -54,8 +54,10 @@ def widths_for(lanes: int) -> tuple[int, ...]:
 
 def widths_to_measure(lanes: int) -> tuple[int, ...]:
     """Return the widths in which points of so many lanes are measured: few lanes have several."""
-    widths = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])
-    return widths_for(lanes) if lanes > widths[1] else widths[1:2]
+    few, some, _ = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])
+    if lanes > few:
+        return widths_for(lanes) if lanes > some else (some,)
+    return (4 * few,)  # wider it compiles longer
 
 
 def targets_for(width: int) -> int:
@@ -92,17 +94,22 @@ def compile_ahead(march: AbstractMarch, lanes: int, max_period: int, follow: boo
     Of `march`, whose rigs are its trailing axis, only the shapes are looked at.
     """
     states = jax.eval_shape(lambda march: march.energy_weight(), march).shape[0]
-    for width in reversed(widths_for(lanes)):
-        own, state, ones = table_of(march, lanes=width), np.zeros((width, states)), np.ones(width)
+
+    def some(width: int) -> tuple[LaneTable, np.ndarray, np.ndarray]:
+        return table_of(march, lanes=width), np.zeros((width, states)), np.ones(width)
+
+    widths = widths_for(lanes)
+    for width in reversed(widths):
+        own, state, ones = some(width)
         search = table_of(begin_search(state.T, max_period, np), xp=np)
-        whole = np.ones(width, np.int32)
         march_some.ahead(own, search, ones, ones, np.asarray(0), np.int32(0))
-        if follow and isinstance(march, ExactMarch):
-            targets = np.ones((targets_for(width), width))
-            tracks, pace = no_tracks(width, states), np.ones((2, width))
-            advance.ahead(own, tracks, targets, pace, np.asarray(0))
-        else:
-            polish_some.ahead(own, state, ones, whole)
     for width in reversed(widths_to_measure(lanes)):
-        own, state = table_of(march, lanes=width), np.zeros((width, states))
-        measure_some.ahead(own, state, np.ones(width), np.ones(width, np.int32))
+        own, state, ones = some(width)
+        measure_some.ahead(own, state, ones, ones.astype(np.int32))
+    for width in reversed(widths):
+        own, state, ones = some(width)
+        if follow and isinstance(march, ExactMarch):
+            tracks, targets = no_tracks(width, states), np.ones((targets_for(width), width))
+            advance.ahead(own, tracks, targets, np.ones((2, width)), np.asarray(0))
+        else:
+            polish_some.ahead(own, state, ones, ones.astype(np.int32))
