@@ -70,8 +70,8 @@ def test_threads_that_end_are_not_interrupted(monkeypatch):
         raise ZeroDivisionError
 
     lost, switch = [], sys.getswitchinterval()
-    for hook in ("unraisablehook", "excepthook"):
-        monkeypatch.setattr(threading if hook == "excepthook" else sys, hook, lost.append)
+    monkeypatch.setattr(sys, "unraisablehook", lost.append)
+    monkeypatch.setattr(threading, "excepthook", lost.append)
     sys.setswitchinterval(1e-6)
     try:
         for _ in range(200):

@@ -67,7 +67,10 @@ SETTINGS = (
 
 
 class _Worker(threading.Thread):
-    """A thread that is interrupted in its work only, not while it begins or ends."""
+    """A thread that is interrupted in its work only, not while it begins or ends.
+
+    It runs in the context of its caller.
+    """
 
     def __init__(self, work: Callable[[], None]):
         context = contextvars.copy_context()
@@ -166,7 +169,7 @@ def in_background(function: Callable[[], Result]) -> "Future[Result]":
             except BaseException as error:
                 future.set_exception(error)
 
-    thread = threading.Thread(target=contextvars.copy_context().run, args=(work,), daemon=True)
+    thread = _Worker(work)
     _background[:] = [*(other for other in _background if other.is_alive()), thread]
     thread.start()
     return future

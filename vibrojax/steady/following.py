@@ -257,7 +257,7 @@ def size_of(state: Float[Array, "states lanes"]) -> Float[Array, " lanes"]:
 def _advanced(
     lanes: FollowedLanes, track: Track, w: Float[Array, " lanes"]
 ) -> tuple[Track, Followed]:
-    """Solve for the motions at a frequency; where that is not good, the track stays."""
+    """Solve for the motions at a frequency; where that is not good, the new track means nothing."""
     events, known, drive = track.events, track.known > 0, lanes.driven(w)
     at = lanes.at(drive[0])
     ahead = _predicted(track, w)
@@ -278,7 +278,7 @@ def _advanced(
     def pair(new: Array, old: Array) -> Array:
         return jnp.stack([new, old[0]])
 
-    point = Track(
+    new = Track(
         events=events,
         known=jnp.where(known, 2, 1).astype(jnp.int32),
         frequency=pair(w, track.frequency),
@@ -287,7 +287,6 @@ def _advanced(
         state_slope=pair(slope, track.state_slope),
         times_slope=pair(times_slope, track.times_slope),
     )
-    new = jax.tree.map(lambda a, b: jnp.where(good, a, b), point, track)
     return new, Followed(good, lanes.at_start(at, found.blocks, found.times), found.rounds)
 
 

@@ -30,7 +30,7 @@ from vibrojax.steady.pool_programs import (
     widths_for,
     widths_to_measure,
 )
-from vibrojax.steady.settled import Onwards, Settled
+from vibrojax.steady.settled import Onwards, Settled, place_in_lane
 from vibrojax.steady.settling import APERIODIC_PERIODS, CLOSED, NEAR, begin_search
 from vibrojax.steady.tracks import begin_track, can_follow, keeps_to_contacts, no_tracks
 from vibrojax.stepping.resonance import is_unbounded
@@ -291,8 +291,8 @@ class LanePool:
         end, steps, measures = self._marched(own, state, track.frequency[:, 0], one)
         gone = (end - state) * weight
         bad = ~keeps_to_contacts(track, measures.events, state * weight, gone)
-        first, lost = np.diff(own, prepend=-1) != 0, np.cumsum(bad)
-        begun = np.maximum.accumulate(np.where(first, np.arange(len(own)), 0))
+        place, lost = place_in_lane(own), np.cumsum(bad)
+        first, begun = place == 0, np.arange(len(own)) - place
         at = np.flatnonzero(lost == (lost - bad)[begun])
         lanes, steps = own[at], self.search.steps[own] * first + steps + rounds
         if len(at):

@@ -8,6 +8,13 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.stepping.measures import Measures
 
 
+def place_in_lane(lanes: Int[np.ndarray, " points"]) -> Int[np.ndarray, " points"]:
+    """Return how many points of the same lane are before each; those of a lane are together."""
+    every = np.arange(len(lanes))
+    first = np.diff(lanes, prepend=-1) != 0
+    return every - np.maximum.accumulate(np.where(first, every, 0))
+
+
 class Settled(NamedTuple):
     """Steady states of some lanes, lanes leading; a lane may have several, one after the other."""
 

@@ -10,7 +10,7 @@ from vibrojax.results.status import LOST, Status
 from vibrojax.steady import pool_programs
 from vibrojax.steady.fold_ahead import compile_fold_ahead, folds_ahead
 from vibrojax.steady.lane_pool import LanePool
-from vibrojax.steady.settled import Onwards, Settled
+from vibrojax.steady.settled import Onwards, Settled, place_in_lane
 from vibrojax.stepping.measures import ratios_of
 from vibrojax.stepping.prepared_rigs import Prepared
 from vibrojax.stepping.resonance import is_unbounded
@@ -91,9 +91,8 @@ class _Grid:
 
     def onwards(self, arrived: Settled) -> Onwards:
         """Store the steady states of some lanes and send them to the next point of the grid."""
-        k, every = arrived.lanes, np.arange(len(arrived.lanes))
-        first = np.where(np.diff(k, prepend=-1) != 0, every, 0)
-        at = self.column(k, every - np.maximum.accumulate(first))
+        k = arrived.lanes
+        at = self.column(k, place_in_lane(k))
         for name, values in _variables(arrived, self.reference[k]).items():
             if name not in self.curves:
                 self.curves[name] = np.empty((len(self.visited), len(self.grid)), values.dtype)
