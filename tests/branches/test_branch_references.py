@@ -205,13 +205,17 @@ def test_what_follows_where_stability_is_lost(oscillator, oscillator_branch):
     assert (first.follows, last.follows) == ("period 3", "period 2")
     assert last.follows_at < last.parameter  # on the side where the branch is unstable
     assert first.follows_at > first.parameter
-    # Settled sweeps have them too.
-    curve = vj.frequency_sweep(oscillator, frequency=[first.follows_at, last.follows_at])
-    assert curve.period.max(axis=0).tolist() == [3, 2]
     assert not any(p.follows for p in points if p.kind in ("fold", "grazing"))
     data = oscillator_branch.to_xarray()
     assert data.period_doubling_follows.values.tolist()[-1] == "period 2"
     assert f"then period 2 at {last.follows_at:.6g}" in repr(last)
+
+
+def test_settled_sweeps_have_what_follows_too(oscillator, oscillator_branch):
+    points = oscillator_branch.special_points
+    first, *_, last = [p for p in points if p.kind == "period_doubling"]
+    curve = vj.frequency_sweep(oscillator, frequency=[first.follows_at, last.follows_at])
+    assert curve.period.max(axis=0).tolist() == [3, 2]
 
 
 def test_the_doubled_branch(oscillator, oscillator_branch):
@@ -221,15 +225,20 @@ def test_the_doubled_branch(oscillator, oscillator_branch):
     assert_exact(doubled)
     assert doubled.values[0] * UNIT == pytest.approx(0.9285, abs=1e-3)
     there = doubled.resample([0.9275 / UNIT])
-    at = np.flatnonzero(there.stable.values[0] == 1)
-    assert len(at) == 1
-    state = there.initial_state.values[0, at[0]]
+    assert (there.stable.values[0] == 1).sum() == 1
+
+
+def test_the_doubled_branch_is_that_of_periodic_responses(oscillator, oscillator_branch):
+    doubled = oscillator_branch.switch(oscillator_branch.period_doublings.size - 1)
+    there = doubled.resample([0.9275 / UNIT])
+    (at,) = np.flatnonzero(there.stable.values[0] == 1)
+    state = there.initial_state.values[0, at]
     direct = vj.periodic_response(
         oscillator, frequency=0.9275 / UNIT, settings=vj.PeriodicSettings(period=2)
     )
     assert direct.stable
     assert float(direct.amplitude_ratio) == pytest.approx(
-        there.amplitude_ratio.values[0, at[0]], rel=1e-8
+        there.amplitude_ratio.values[0, at], rel=1e-8
     )
     # The same motion, from either of its two drive periods.
     once = vj.simulate(

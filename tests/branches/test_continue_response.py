@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray
 from scipy.optimize import brentq
+from shown import check_result
 
 import vibrojax as vj
 
@@ -291,6 +292,7 @@ def test_dataset_over_axes(branches):
 
 
 def test_saved_and_loaded(small_branch, branches, tmp_path):
+    check_result(small_branch)
     small_branch.save(tmp_path / "branch.nc")
     with xarray.open_dataset(tmp_path / "branch.nc", engine="h5netcdf") as loaded:
         loaded.load()

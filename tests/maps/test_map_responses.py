@@ -18,7 +18,7 @@ def rig(gap=4e-4, stiffness=5500.0, base_amplitude=0.2e-3, damping=5e-5):
         stiffness=stiffness,
         base_amplitude=base_amplitude,
         damping=damping,
-        num_modes=1,
+        num_modes=2,
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import optax
 import pytest
 from conftest import public_names
-from matplotlib.figure import Figure
+from shown import check_result, readable
 from unit_oscillator import oscillator
 
 import vibrojax as vj
@@ -61,14 +61,6 @@ PARTS = {
     "Fold": (vj.branches.Fold(*map(jnp.asarray, (1.2, 3.0, 0.5, [0.0, 1.0], True))), "0.5 N"),
 }
 MODULES = [name for name, (part, *_) in PARTS.items() if isinstance(part, eqx.Module)]
-
-
-def readable(text, name):
-    assert name in text
-    assert len(text) < 1500
-    assert "f64[" not in text
-    assert " at 0x" not in text
-    return text
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -165,16 +157,6 @@ QUICK = {
 }
 
 
-def check_result(result):
-    readable(repr(result), type(result).__name__)
-    assert isinstance(result.plot(), Figure)
-    dataset = result.to_xarray()
-    for name, variable in dataset.variables.items():
-        if variable.dtype.kind in "fciub" and "lane" not in str(name):
-            assert variable.attrs.get("long_name"), f"{name} has no long name"
-            assert "units" in variable.attrs, f"{name} has no unit"
-
-
 @pytest.mark.parametrize("name", QUICK)
 def test_results_draw_themselves_and_become_datasets(name):
     check_result(QUICK[name]())
@@ -197,6 +179,7 @@ def test_results_are_found():
 
 
 def made_by_programs():
+    """Results that no test of their own rooms looks at by `check_result`."""
     body, frequency = oscillator(), 0.9 / (2 * np.pi)
     history = vj.simulate(body, frequency=frequency, periods=40)
     yield history
@@ -206,17 +189,7 @@ def made_by_programs():
     yield history.cycles()
     yield history.poincare()
     yield vj.simulate(oscillator, gap=[0.9, 1.0], frequency=frequency, periods=3)
-    yield vj.frequency_sweep(
-        oscillator, gap=[1.0], frequency=[0.14, 0.15], settings=vj.SweepSettings(max_periods=60)
-    )
     yield vj.periodic_response(oscillator(gap=10.0), frequency=frequency)
-    yield vj.continue_response(oscillator(gap=10.0), frequency=vj.Range(0.1, 0.2))
-    yield vj.single_contact_response(
-        body, frequency=[0.14, 0.15, 0.16], contact_fraction=[0.1, 0.2, 0.3]
-    )
-    yield vj.regimes(
-        body, frequency=[0.14, 0.15], settings=vj.RegimeSettings(transient=20, periods=40)
-    )
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from shown import check_result
 
 import vibrojax as vj
 from vibrojax.model.systems import as_arrays, equations_of
@@ -195,6 +196,7 @@ def test_folds_on_the_grid(response):
 def test_dataset(response, tmp_path):
     import xarray
 
+    check_result(response)
     response.save(tmp_path / "map.nc")
     with xarray.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as data:
         assert dict(data.sizes) == {"contact_fraction": 97, "frequency_ratio": 31}

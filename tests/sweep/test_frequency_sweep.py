@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 import xarray
+from shown import check_result
 from splitting_settings import with_settings
 
 import vibrojax as vj
@@ -192,6 +193,7 @@ def test_axes_equal_one_by_one(rig):
         stiffness=4e3,
         settings=vj.SweepSettings(refine_jumps=None),
     )
+    check_result(sweep)
     ds = sweep.to_xarray()
     assert dict(ds.sizes) == {"taper": 2, "gap": 2, "direction": 2, "frequency_ratio": 2}
     assert ds.amplitude_ratio.dims == ("taper", "gap", "direction", "frequency_ratio")

@@ -8,9 +8,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from vibrojax._tools.interrupts import in_background
 
@@ -37,15 +37,14 @@ class Parts(NamedTuple):
         return jax.tree.unflatten(self.structure, [next(left) if a else h for h, a in both])
 
 
-def has_shape(leaf: Any) -> bool:
-    """Whether it is an array, or stands for one."""
-    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
+ARRAYS = (jax.Array, np.ndarray, np.generic, jax.ShapeDtypeStruct)
+"""What is an array, or stands for one. Not asked by a function: calls have hundreds of leaves."""
 
 
 def sorted_out(thing: Any) -> tuple[list[Any], Parts]:
     """Return the arrays of a tree, and what it is without them."""
     leaves, structure = jax.tree.flatten(thing)
-    is_array = tuple(map(has_shape, leaves))
+    is_array = tuple(isinstance(leaf, ARRAYS) for leaf in leaves)
     both = list(zip(leaves, is_array, strict=True))
     held = tuple(None if a else leaf for leaf, a in both)
     return [leaf for leaf, a in both if a], Parts(structure, held, is_array)
