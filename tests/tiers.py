@@ -482,6 +482,7 @@ LONG = {
         "test_leading_multipliers[P_MR0.5_mu0.5]",
         "test_folds_are_the_refined_jumps[C_MR1_mu0]",
     ),
+    "test_reduction": ("test_a_reduced_beam_moves_as_the_beam_and_as_the_matrices",),
     "test_measures": (
         "test_derivatives_are_those_of_finite_differences[half-power bandwidth]",
         "test_derivatives_are_those_of_finite_differences[peak amplitude]",

@@ -10,6 +10,7 @@ import vibrojax as vj
 from vibrojax.branches import contacts, walking
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import OnCurve
+from vibrojax.branches.walking import Walk
 
 TURN = 2 * np.pi
 DATA = Path(__file__).parents[1] / "data"
@@ -243,6 +244,40 @@ def test_touches_that_cannot_be_passed_are_leapt_over(monkeypatch):
     values = np.append(np.linspace(0.95, 1.25, 7), behind)
     own, other = (b.resample(values)["amplitude_ratio"].values for b in (branch, known))
     np.testing.assert_allclose(np.sort(own), np.sort(other), rtol=1e-8)
+
+
+@pytest.mark.slow
+def test_who_leaps_over_a_fold_and_comes_back_turns_about(monkeypatch):
+    rig, bounds = vj.default_rig(num_modes=2), vj.Range(0.85, 1.35)
+    known = vj.continue_response(rig, frequency_ratio=bounds)
+    take, leap, about = Walk.take, Walk.leap, Walk.turn_about
+    turned = []
+
+    def take_but_the_second(walk, passed):
+        return take(walk, None if len(walk.touches) == 1 and not walk.leaps else passed)
+
+    def leap_to_the_wrong_side(walk):
+        came = yield from leap(walk)
+        walk.points[-1] = walk.points[-1].reversed()
+        return came
+
+    def noted(walk):
+        turned.append((walk.landing, len(walk.points)))
+        about(walk)
+
+    for name, changed in dict(
+        take=take_but_the_second, leap=leap_to_the_wrong_side, turn_about=noted
+    ).items():
+        monkeypatch.setattr(Walk, name, changed)
+    branch = vj.continue_response(rig, frequency_ratio=bounds)
+    ((landing, reached),) = turned
+    assert reached > landing + 3
+    assert branch.completed
+    assert "leapt over 1 times" in branch.sentence
+    np.testing.assert_allclose(branch.folds, known.folds, rtol=1e-9)
+    values = np.linspace(0.95, 1.25, 7)
+    own, other = (b.resample(values)["amplitude_ratio"].values for b in (branch, known))
+    np.testing.assert_allclose(own, other, rtol=1e-8)
 
 
 @pytest.mark.slow

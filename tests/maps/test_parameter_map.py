@@ -213,12 +213,12 @@ def test_dry_run_says_what_it_takes_and_makes_nothing(tmp_path):
         gap=np.linspace(2e-4, 1e-3, 50),
         response=SWEEP,
         store=tmp_path / "map.zarr",
-        chunk_lanes=6,
+        chunk_lanes=5,
         dry_run=True,
     )
     assert isinstance(plan, vj.maps.MapPlan)
     assert (plan.lanes, plan.points) == (2000, 16000)
-    assert (plan.chunks, plan.lanes_per_chunk) == (334, 6)
+    assert (plan.chunks, plan.lanes_per_chunk) == (400, 5)
     assert plan.seconds > plan.lane_seconds * 2000 > 0
     assert "2,000 lanes" in repr(plan)
     assert not (tmp_path / "map.zarr").exists()

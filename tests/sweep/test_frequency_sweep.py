@@ -193,7 +193,6 @@ def test_axes_equal_one_by_one(rig):
         stiffness=4e3,
         settings=vj.SweepSettings(refine_jumps=None),
     )
-    check_result(sweep)
     ds = sweep.to_xarray()
     assert dict(ds.sizes) == {"taper": 2, "gap": 2, "direction": 2, "frequency_ratio": 2}
     assert ds.amplitude_ratio.dims == ("taper", "gap", "direction", "frequency_ratio")
@@ -237,6 +236,7 @@ def test_hertz_equals_ratio(rig, curve):
     assert hertz.jump_down == pytest.approx(by_ratio.jump_down * natural, rel=1e-3)
     assert hertz.jump_up == pytest.approx(by_ratio.jump_up * natural, rel=1e-3)
     assert hertz.resonance_shift == pytest.approx(by_ratio.resonance_shift)
+    check_result(hertz)
     ds = hertz.to_xarray()
     assert ds.frequency.attrs["units"] == "Hz"
     assert ds.jump_up.attrs["units"] == "Hz"

@@ -30,6 +30,8 @@ MOST_TRIES = 40
 LEAPS = 1e-5, 1e-4, 1e-3, 1e-2
 """Arclengths by which changes of contact are leapt over that cannot be passed one by one."""
 MOST_LEAPS = 30
+SAME = 1e-8
+"""Most that the same touch may differ from itself, in arclength, when it is passed again."""
 FARTHER = 4.0
 """Farthest that a motion behind a leap may be, over the length of the leap."""
 
@@ -54,6 +56,8 @@ class Walk:
     """What was seen of the motion that broke its contacts last."""
     leaps: int = 0
     """How often changes of contact were leapt over."""
+    landing: int | None = None
+    """Point behind the last leap, if it may lead back to where the walk came from."""
 
     def anew(self, search: CurveSearch, low: float, high: float) -> "Walk":
         """A walk with the same settings elsewhere."""
@@ -90,10 +94,14 @@ class Walk:
                     continue
             step = yield from self.pass_change(misfit, step)
             tries += 1
-            if step < SHORTEST or tries > MOST_TRIES:
-                if not (yield from self.leap()):
-                    return Ending.stuck
-                step, room = FIRST / 2, 4
+            is_stuck = step < SHORTEST or tries > MOST_TRIES
+            if self.retraces() or (is_stuck and self.comes_back()):
+                self.turn_about()
+            elif not is_stuck:
+                continue
+            elif not (yield from self.leap()):
+                return Ending.stuck
+            step, room, tries, reached = FIRST / 2, 4, 0, len(self.points)
 
     def pass_change(self, misfit: OnCurve | None, step: float) -> Steps:
         """Pass the change of contact ahead; returns the step to go on with.
@@ -164,9 +172,46 @@ class Walk:
                 continue
             (seen,) = yield Look([found])
             if search.fits(found, seen):
+                self.landing = len(self.points)
                 self.add(replace(found, family=last.family + 1), seen)
                 return True
         return False
+
+    def retraces(self) -> bool:
+        """Whether, behind a leap, the last touch was passed before, the other way."""
+        if self.landing is None or not self.touches or self.touches[-1].at < len(self.points) - 2:
+            return False
+        *before, last = self.touches
+        return any(
+            (touch.stop, touch.entering) == (last.stop, not last.entering)
+            and np.linalg.norm(self._apart(touch.at, last.at)) <= SAME
+            for touch in before
+        )
+
+    def comes_back(self) -> bool:
+        """Whether the walk has come nearer to where it leapt than it landed."""
+        if self.landing is None:
+            return False
+        before = self.landing - 1
+        gone, leapt = self._apart(before, -1), self._apart(before, self.landing)
+        return bool(np.linalg.norm(gone) < np.linalg.norm(leapt))
+
+    def turn_about(self) -> None:
+        """Go the other way from behind the last leap: there may be a fold in between."""
+        landing = self.landing
+        assert landing is not None
+        del self.points[landing + 1 :], self.seen[landing + 1 :]
+        self.points[landing] = self.points[landing].reversed()
+        self.touches = [touch for touch in self.touches if touch.at < landing]
+        self.landing = None
+
+    def _apart(self, i: int, j: int) -> np.ndarray:
+        """Difference of two points as seen at drive phase 0, in arclength."""
+        unit, seen = self.search.unit, self.seen
+        size = max(float(np.linalg.norm(unit * seen[-1].initial_state)), 1e-300)
+        state = unit * (seen[j].initial_state - seen[i].initial_state) / size
+        parameter = self.points[j].parameter - self.points[i].parameter
+        return np.append(state, parameter / self.search.scale)
 
     def touch_in(self, cell: int) -> Touch | None:
         """Return the touch that the cell behind a point begins or ends with."""
@@ -244,17 +289,10 @@ class Walk:
         """Whether the last point is where the walk began."""
         if len(self.points) <= LOOP_POINTS:
             return False
-        size = np.linalg.norm(self.search.unit * self.seen[-1].initial_state)
-
-        def apart(i: int, j: int) -> np.ndarray:
-            state = self.search.unit * (self.seen[j].initial_state - self.seen[i].initial_state)
-            parameter = self.points[j].parameter - self.points[i].parameter
-            return np.append(state / size, parameter / self.search.scale)
-
-        gone, home = apart(-2, -1), np.linalg.norm(apart(0, -1))
+        gone, home = self._apart(-2, -1), np.linalg.norm(self._apart(0, -1))
         near = home < 0.75 * min(np.linalg.norm(gone), self.longest)
         # Who comes by the other way has turned round.
-        return bool(near and gone @ apart(0, 1) > 0)
+        return bool(near and gone @ self._apart(0, 1) > 0)
 
     def further(self, last: OnCurve, step: float) -> Steps:
         """Solve for the next motion: that, the step behind it, and the end of the range met."""

@@ -27,10 +27,9 @@ from vibrojax.stepping.stepper import ExactMarch
 
 lax = jax.lax
 
-CLOSED = 1e-10
-"""Relative residual at which a motion is solved for."""
-ROUND_OFF = 1e-13
-"""At which it is left as it is: results are then the same wherever the search began."""
+CLOSED = 1e-7
+"""Relative residual from which one more step of Newton's method leads to rounding: results are then
+the same wherever the search began."""
 MOST_ROUNDS = 6
 """Of Newton's method: further away another motion might be found."""
 FREE_ROUNDS = 2
@@ -80,6 +79,19 @@ class _ByFrequency(NamedTuple):
     """At the section, in units of energy."""
 
 
+class _Motion(NamedTuple):
+    """A motion solved for."""
+
+    blocks: Float[Array, "2 blocks lanes"]
+    times: Float[Array, "events lanes"]
+    state: Float[Array, "states lanes"]
+    matrix: Float[Array, "states states lanes"]
+    """Of the period map, in block coordinates."""
+    slope: Float[Array, "states lanes"]
+    """Of the state by the drive frequency."""
+    times_slope: Float[Array, "events lanes"]
+
+
 class FollowedLanes:
     """Lanes with the events of their motions, apart from the drive frequency."""
 
@@ -120,8 +132,8 @@ class FollowedLanes:
             late = jnp.max(jnp.abs(passed.late), axis=0, where=used, initial=0.0)
             error = jnp.maximum(gone, late)
             shrinks = (found.rounds < FREE_ROUNDS) | (error < found.error / 2)
-            going = live & (error > ROUND_OFF) & (found.rounds + 1 < MOST_ROUNDS) & shrinks
-            change = _to_return(passed, gap)
+            going = live & (error > CLOSED) & (found.rounds + 1 < MOST_ROUNDS) & shrinks
+            (change,) = _to_return(passed, gap)
             moved = passed.late + apply_matrix(passed.delays, change)
             room = 0.4 * _room(self.events, times)
             moved = jnp.where(used, jnp.clip(moved, -room, room), 0.0)
@@ -155,19 +167,21 @@ class FollowedLanes:
     def at_start(self, at: KnownContacts, blocks: Array, times: Array) -> Array:
         """State (q, q') at drive phase 0, which lies within the turn behind the section."""
         origin = jnp.where(self.events.section > 0, TURN, 0.0)
-        passed = at.go_through(blocks, times, origin)
-        return self.state(at, passed.blocks, passed.phase, origin) / self.weight
+        return self.state(at, *at.go_to(blocks, times, origin), origin) / self.weight
 
-    def with_slopes(
-        self, drive: tuple[Forcing, Forcing], found: _Solved
-    ) -> tuple[Array, Array, Array, Array]:
-        """State and multipliers' matrix of motions; slopes of state and times by the frequency."""
+    def last_step(self, drive: tuple[Forcing, Forcing], found: _Solved) -> _Motion:
+        """Newton's last step to motions that are all but solved for, and their slopes."""
         passed, state, slopes = self.through(drive, found.blocks, found.times)
-        change = _to_return(passed, slopes.end)
+        step, change = _to_return(passed, passed.blocks - found.blocks, slopes.end)
         to_state = pick(jnp.asarray(self.events.first_phase), self.march.phases.to_state)
-        slope = slopes.state + self.weight * apply_matrix(to_state, change)
-        matrix = passed.matrix.reshape(change.shape[0], *change.shape)
-        return state, matrix, slope, slopes.late + apply_matrix(passed.delays, change)
+        return _Motion(
+            blocks=found.blocks + step.reshape(found.blocks.shape),
+            times=found.times + passed.late + apply_matrix(passed.delays, step),
+            state=state + self.weight * apply_matrix(to_state, step),
+            matrix=passed.matrix.reshape(len(step), *step.shape),
+            slope=slopes.state + self.weight * apply_matrix(to_state, change),
+            times_slope=slopes.late + apply_matrix(passed.delays, change),
+        )
 
 
 def _predicted(track: Track, w: Float[Array, " lanes"]) -> tuple[Array, Array]:
@@ -186,13 +200,13 @@ def _predicted(track: Track, w: Float[Array, " lanes"]) -> tuple[Array, Array]:
     return at(track.state, track.state_slope), at(track.times, track.times_slope)
 
 
-def _to_return(
-    passed: Passage, gap: Float[Array, "2 blocks lanes"]
-) -> Float[Array, "states lanes"]:
-    """Change of where motions begin that makes up for a gap between end and beginning."""
-    flat = gap.reshape(-1, gap.shape[-1])
-    matrix = jnp.moveaxis(passed.matrix.reshape(len(flat), *flat.shape), -1, 0)
-    return jnp.linalg.solve(jnp.eye(len(flat)) - matrix, flat.T[..., None])[..., 0].T
+def _to_return(passed: Passage, *gaps: Float[Array, "2 blocks lanes"]) -> list[Array]:
+    """Changes of where motions begin that make up for gaps between end and beginning."""
+    flat = jnp.stack([gap.reshape(-1, gap.shape[-1]).T for gap in gaps], axis=-1)
+    states = flat.shape[1]
+    matrix = jnp.moveaxis(passed.matrix.reshape(states, states, -1), -1, 0)
+    solved = jnp.linalg.solve(jnp.eye(states) - matrix, flat)
+    return [solved[..., k].T for k in range(len(gaps))]
 
 
 def _room(events: Events, times: Float[Array, "events lanes"]) -> Float[Array, "events lanes"]:
@@ -238,10 +252,10 @@ def _section_moved(lanes: FollowedLanes, track: Track, close: Bool[Array, " lane
     # The section is counted from less than a turn.
     turns = TURN * jnp.floor(section / TURN)
     whole = section - turns
-    passed = at.go_through(lanes.begin(at, track.state[0]), times, section)
-    state = lanes.state(at, passed.blocks, passed.phase, section)
+    blocks, phase = at.go_to(lanes.begin(at, track.state[0]), times, section)
+    state = lanes.state(at, blocks, phase, section)
     moved = track._replace(
-        events=Events(stop, passed.phase.astype(events.first_phase.dtype), whole),
+        events=Events(stop, phase.astype(events.first_phase.dtype), whole),
         known=jnp.zeros_like(track.known),
         state=track.state.at[0].set(state),
         times=track.times.at[0].set(jnp.where(stop >= 0, later - turns, whole + TURN)),
@@ -266,14 +280,14 @@ def _advanced(
     )
     size = size_of(guess)
     found = lanes.solve(at, lanes.begin(at, guess), times, jnp.where(size > 0, size, 1.0))
-    state, matrix, slope, times_slope = lanes.with_slopes(drive, found)
+    now = lanes.last_step(drive, found)
     # Along one branch the slopes at both ends give the step between them.
-    step = state - track.state[0]
-    straight = (w - track.frequency[0]) / 2 * (slope + track.state_slope[0])
-    bent, size, length = size_of(step - straight), size_of(state), size_of(step)
+    step = now.state - track.state[0]
+    straight = (w - track.frequency[0]) / 2 * (now.slope + track.state_slope[0])
+    bent, size, length = size_of(step - straight), size_of(now.state), size_of(step)
     goes_on = jnp.where(known, bent <= BENT * length + STRAIGHT * size, length <= 5 * NEAR * size)
-    good = (found.error <= CLOSED) & goes_on & is_stable(jnp.moveaxis(matrix, -1, 0))
-    good &= jnp.all(jnp.isfinite(slope), axis=0)
+    good = (found.error <= CLOSED) & goes_on & is_stable(jnp.moveaxis(now.matrix, -1, 0))
+    good &= jnp.all(jnp.isfinite(now.slope), axis=0)
 
     def pair(new: Array, old: Array) -> Array:
         return jnp.stack([new, old[0]])
@@ -282,12 +296,12 @@ def _advanced(
         events=events,
         known=jnp.where(known, 2, 1).astype(jnp.int32),
         frequency=pair(w, track.frequency),
-        state=pair(state, track.state),
-        times=pair(found.times, track.times),
-        state_slope=pair(slope, track.state_slope),
-        times_slope=pair(times_slope, track.times_slope),
+        state=pair(now.state, track.state),
+        times=pair(now.times, track.times),
+        state_slope=pair(now.slope, track.state_slope),
+        times_slope=pair(now.times_slope, track.times_slope),
     )
-    return new, Followed(good, lanes.at_start(at, found.blocks, found.times), found.rounds)
+    return new, Followed(good, lanes.at_start(at, now.blocks, now.times), found.rounds)
 
 
 class Pace(NamedTuple):
