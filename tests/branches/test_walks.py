@@ -9,7 +9,7 @@ import scipy.linalg
 import vibrojax as vj
 from vibrojax.branches import contacts, walking
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import OnCurve
+from vibrojax.branches.on_curve import OnCurve, Seen
 from vibrojax.branches.walking import Walk
 
 TURN = 2 * np.pi
@@ -199,6 +199,32 @@ def test_a_hairpin_within_a_step_is_seen():
     assert not search.turns_round(last, motion(0.2, -0.5))
     assert not search.turns_round(last, motion(0.104, -3.0))
     assert search.turns_round(motion(0.2, -1.0), motion(0.1, 3.0))
+
+
+def test_a_march_begins_again_where_it_went_astray():
+    """A release that is all but tangential is met a little late, and what follows much too late."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    twice = contacts.Contacts((0, 0, 0, 0), 0, 0.5)
+    times = np.array([1.0, 1.2, 3.0, 3.1])
+    motion = OnCurve(twice, times, np.ones(2), 1.0, np.ones(2), 0 * times, 0.0, np.eye(2))
+
+    def begins(met, at, fits=True):
+        seen = Seen(met, np.asarray(at), fits, np.ones(2), np.ones(2), None)
+        assert not search.fits(motion, seen)
+        steps = search.recut(motion, seen)
+        try:
+            return next(steps).sections[0]
+        except StopIteration as end:
+            return end.value
+
+    assert begins(twice, np.add(times, [0.0, 2e-5, 1e-3, 1e-3])) == pytest.approx(2.1)
+    once = contacts.Contacts((0, 0), 0, 0.5)
+    assert begins(once, times[:2]) == pytest.approx(2.1)
+    assert begins(once, times[2:]) == pytest.approx((3.1 - TURN + 1.0) / 2 + TURN)
+    # From the last event on nothing is left to be met, and other contacts are another motion.
+    assert begins(twice, np.add(times, [0.0, 0.0, 0.0, 1e-3])) is None
+    assert begins(contacts.Contacts((0, 1, 1, 0), 0, 0.5), times) is None
+    assert begins(twice, times + 1e-3, fits=False) is None
 
 
 @pytest.mark.slow

@@ -27,6 +27,8 @@ BOUNCED = 1.5
 """By how much a pair may last longer where it was about to vanish."""
 SWELLED = 0.05
 """Least relative change of a contact's duration from which it is told whether the curve turned."""
+LOOSE = 1e-8
+"""Drive angle, rad, by which a march is off that has gone astray."""
 FARTHEST = 0.16
 """Farthest in arclength that a tangent is followed for a guess."""
 TRIES = 6
@@ -180,23 +182,33 @@ class CurveSearch:
         return motion if cut is None else cut
 
     def recut(self, motion: OnCurve, seen: Seen) -> Steps:
-        """Cut a motion ahead of a contact that a march missed, and look again; None if that fails.
+        """Cut a motion where a march went astray, and look again; None if that fails.
 
-        Where a motion is very unstable, what is ahead of a shallow contact grows beyond its depth.
+        Where a motion is very unstable, what is ahead of a shallow contact grows beyond its depth,
+        and an error at a stop that is left all but tangentially grows behind it.
         """
-        for pair in pairs(motion.contacts, motion.times) if seen.fits else ():
-            less = without(motion.contacts, motion.times, [pair])
-            if not same(*less, seen.contacts, seen.times, self.brief):
-                continue
-            i = pair.places[0]
-            before = motion.times[i - 1] if i else motion.times[-1] - self.whole
-            section = (before + pair.times[0]) / 2
-            section += self.whole if section < motion.contacts.section else 0.0
-            cut = yield from self.cut_at(motion, section)
-            if cut is None:
-                return None
-            (seen,) = yield Look([cut])
-            return (cut, seen) if self.fits(cut, seen) else None
+        place = self._astray(motion, seen) if seen.fits else None
+        if place is None:
+            return None
+        before = motion.times[place - 1] if place else motion.times[-1] - self.whole
+        section = (before + motion.times[place]) / 2
+        section += self.whole if section < motion.contacts.section else 0.0
+        cut = yield from self.cut_at(motion, section)
+        if cut is None:
+            return None
+        (seen,) = yield Look([cut])
+        return (cut, seen) if self.fits(cut, seen) else None
+
+    def _astray(self, motion: OnCurve, seen: Seen) -> int | None:
+        """Place of the event ahead of which a march has to begin to meet the contacts; or None."""
+        own, met = (motion.contacts, motion.times), (seen.contacts, seen.times)
+        for pair in pairs(*own):
+            if same(*without(*own, [pair]), *met, self.brief):
+                return pair.places[0]
+        if same(*own, *met, np.inf):
+            off = np.flatnonzero(np.abs(motion.times - seen.times) > LOOSE)
+            if len(off) and off[0] + 1 < len(motion.times):
+                return int(off[0]) + 1
         return None
 
     def from_phase(self, motion: OnCurve, section: float) -> Steps:
