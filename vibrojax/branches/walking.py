@@ -27,7 +27,7 @@ GROWTH = (3, 2.5), (4, 1.8), (5, 1.4), (7, 1.0), (np.inf, 0.7)
 """By what steps grow after so many rounds of Newton's method."""
 MOST_TRIES = 40
 """Tries to pass a touch before the next point has to be found."""
-LEAPS = 1e-5, 1e-4, 1e-3, 1e-2
+LEAPS = 1e-5, 1e-4, 1e-3, 1e-2, 4e-2
 """Arclengths by which changes of contact are leapt over that cannot be passed one by one."""
 MOST_LEAPS = 30
 SAME = 1e-8
