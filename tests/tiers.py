@@ -341,7 +341,7 @@ LONG = {
     "test_contacts": (
         "test_kelvin_voigt_returns_what_its_closed_form_says[False]",
         *(f"test_steady_motions_agree_with_the_reference[{k}]" for k in range(11)),
-        *(f"test_releases_agree_with_the_reference[{k}]" for k in range(1, 22) if k != 16),
+        *(f"test_releases_agree_with_the_reference[{k}]" for k in range(22) if k != 16),
         "test_coarse_samples_have_the_peaks_of_fine_ones",
         "test_how_finely_one_samples_does_not_matter",
         "test_largest_force_of_the_start_up_agrees_with_the_reference",
@@ -350,6 +350,7 @@ LONG = {
     ),
     "test_wrong_calls": ("test_any_junk_for_any_argument_is_answered_by_a_sentence",),
     "test_contact_laws": (
+        "test_histories_agree_with_scipy_and_with_other_solvers[kelvin_voigt]",
         "test_histories_agree_with_scipy_and_with_other_solvers[rubber]",
         "test_histories_agree_with_scipy_and_with_other_solvers[hertz]",
         "test_sweep_shooting_and_balance_find_the_same_motion[hunt_crossley]",
@@ -364,6 +365,7 @@ LONG = {
         "test_sweep_shooting_and_balance_find_the_same_motion[hertz]",
     ),
     "test_simulate": (
+        "test_reverse_mode_goes_as_far_as_forward_mode[48]",
         "test_reverse_mode_goes_as_far_as_forward_mode[50]",
         "test_gradients_nest_with_vmap",
         "test_reverse_mode_matches_forward_mode_where_intervals_take_many_attempts",
@@ -469,6 +471,7 @@ LONG = {
         "test_a_motion_that_touches_from_the_start",
     ),
     "test_branch_references": (
+        "test_folds_are_the_refined_jumps[C_MR0.5_mu0.5_gap0.8]",
         "test_folds_are_the_refined_jumps[C_MR0.5_mu0.5_s1_0.75]",
         "test_settled_sweeps_have_what_follows_too",
         "test_the_doubled_branch_is_that_of_periodic_responses",
