@@ -203,7 +203,7 @@ class Walk:
         del self.points[landing + 1 :], self.seen[landing + 1 :]
         self.points[landing] = self.points[landing].reversed()
         self.touches = [touch for touch in self.touches if touch.at < landing]
-        self.landing = None
+        self.landing = self.odd = None
 
     def _apart(self, i: int, j: int) -> np.ndarray:
         """Difference of two points as seen at drive phase 0, in arclength."""
@@ -235,6 +235,8 @@ class Walk:
         while len(self.points) > 1 and self.is_behind(touch, self.points[-1]):
             self.points.pop()
             self.seen.pop()
+        if self.landing is not None and self.landing >= len(self.points):
+            self.landing = None
         self.touches.append(passed.touch._replace(at=len(self.points)))
         for motion, seen in zip(passed.motions, passed.seen, strict=True):
             self.add(motion, seen)

@@ -27,7 +27,7 @@ from vibrojax.stepping.stepper import ExactMarch
 
 lax = jax.lax
 
-CLOSED = 1e-7
+CLOSED = 1e-8
 """Relative residual from which one more step of Newton's method leads to rounding: results are then
 the same wherever the search began."""
 MOST_ROUNDS = 6
