@@ -567,13 +567,10 @@ LONG = {
     "test_resolution": ("test_stops_are_compared_with_rigid_ones",),
     "test_residual_shapes": ("test_three_corrected_modes_come_closer_to_thirty_than_three_do",),
     "test_spectrum": ("test_a_release_shows_modes_and_no_drive",),
-    "test_map_identity": (
-        "test_chunks_of_corrected_lanes_and_only_they_are_computed_again[lanes1-traced]",
-        "test_chunks_of_corrected_lanes_and_only_they_are_computed_again[lanes1-called]",
-        "test_chunks_of_corrected_lanes_and_only_they_are_computed_again[lanes2-traced]",
-        "test_chunks_of_corrected_lanes_and_only_they_are_computed_again[lanes2-called]",
-        "test_chunks_of_corrected_lanes_and_only_they_are_computed_again[lanes3-traced]",
-        "test_chunks_of_corrected_lanes_and_only_they_are_computed_again[lanes3-called]",
+    "test_map_identity": tuple(
+        f"test_chunks_of_corrected_lanes_and_only_they_are_computed_again[lanes{k}-{way}]"
+        for k in (1, 2, 3)
+        for way in ("traced", "called")
     ),
 }
 """By file: slow tests whose like CI runs on another case or by another test; run by hand."""

@@ -108,6 +108,9 @@ def test_dataset_file_and_pictures(found, tmp_path):
     assert dataset.spectrum.dims == ("gap", "frequency", "order")
     assert dataset.regime.attrs["flag_meanings"].split()[2] == "chaotic"
     check_result(found)
+    for name, variable in dataset.variables.items():
+        assert variable.attrs["units"], name
+        assert variable.attrs["long_name"], name
     assert dataset.strain_power_rms.attrs["units"] == "W"
     path = tmp_path / "regimes.nc"
     found.save(path)

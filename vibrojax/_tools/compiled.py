@@ -25,7 +25,7 @@ import numpy as np
 from jax.core import Tracer
 
 from vibrojax._tools import cache
-from vibrojax._tools.programs import ARRAYS, Parts, Program, kinds_of, sorted_out, tracing
+from vibrojax._tools.programs import Parts, Program, kinds_of, sorted_out, tracing
 from vibrojax._tools.waiting import telling
 
 Given = ParamSpec("Given")
@@ -94,9 +94,8 @@ _new_array = jax.jit(lambda: 0.0)
 """Is traced where anything new is; the cheapest way to ask."""
 
 
-def is_alone(tree: Any) -> bool:
+def is_alone(arrays: Sequence[Any]) -> bool:
     """Whether a call with these arrays is a program, not a part of a transformation or a check."""
-    arrays = [a for a in jax.tree.leaves(tree) if isinstance(a, ARRAYS)]
     # Inside of jit, and of loops and the like, every new array is traced.
     if any(isinstance(a, Tracer) for a in (*arrays, _new_array())):
         return False

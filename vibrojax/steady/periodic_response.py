@@ -9,6 +9,7 @@ from jaxtyping import ArrayLike
 
 from vibrojax._tools.checks import check_one_number, is_traced
 from vibrojax._tools.compiled import compiled, is_alone
+from vibrojax._tools.programs import sorted_out
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
 from vibrojax.model.laws import is_linear
@@ -101,7 +102,7 @@ def periodic_response(
     elif method is None and (exact or not equations.stops):
         numbers, how = (arrays, value), (is_ratio, period, state)
         still = frozen((*numbers, *how))
-        if is_alone(still):
+        if is_alone(sorted_out(still)[0]):
             compile_ahead(_read_exactly, numbers, _solved_exactly.ahead(*still), *frozen(how))
         found = with_columns(_read_exactly, numbers, _solved_exactly(*still), *how)
     elif not equations.stops:
