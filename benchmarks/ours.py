@@ -54,14 +54,15 @@ def _phases(problem: exact.Problem):
     return jax.jit(contact_phases)(equations(problem))
 
 
-def _march(problem: exact.Problem, method: vj.stepping.AbstractStepper):
+def march(problem: exact.Problem, method: vj.stepping.AbstractStepper):
+    """The march of the problem, of (state, drive frequency, periods, whether to measure)."""
     drive = vj.BaseMotion(problem.base_amplitude)
     return eqx.filter_jit(method.prepare)(equations(problem), drive)
 
 
 def run_bare(problem, frequencies, periods, accuracy, method=vj.ExactContact, repeats=3) -> Run:
     """The bare loop: tips of every period end from one run, the time from another in one go."""
-    ready = _march(problem, method(accuracy))
+    ready = march(problem, method(accuracy))
     omega = jnp.asarray(frequencies)
     tip = jnp.asarray(problem.shape_at_tip)
     start = jnp.zeros((2 * tip.size, omega.size))

@@ -232,9 +232,11 @@ def run_heyoka(
     return Run(np.concatenate(tips)[:lanes], seconds, compile_seconds)
 
 
-@functools.cache
-def _diffrax_program(problem: Problem, periods: int, solver: str, steps_per_period: float):
-    import diffrax
+def vector_field(problem: Problem):
+    """Rate of the scaled state over a drive period, of (time in periods, state, drive in rad/s).
+
+    Also the row that reads the tip. The contact is a plain kinked force.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -243,14 +245,26 @@ def _diffrax_program(problem: Problem, periods: int, solver: str, steps_per_peri
     # One matrix product gives A x, the penetration and its rate.
     rows = jnp.asarray(np.vstack([model.matrix, model.depth, model.rate]).T)
     forcing, push = jnp.asarray(model.drive), jnp.asarray(model.push)
-    ends = jnp.arange(1.0, periods + 1.0)
 
-    def field(t, x, drive):  # time in drive periods
+    def field(t, x, drive):
         products = x @ rows
         depth, rate = products[2 * n] - model.gap, products[2 * n + 1]
         force = jnp.where(depth > 0.0, model.stiffness * depth + model.damping * rate, 0.0)
         base = drive**2 * jnp.sin(2.0 * jnp.pi * t)
         return (2.0 * jnp.pi / drive) * (products[: 2 * n] + forcing * base - push * force)
+
+    return field, jnp.asarray(model.tip)
+
+
+@functools.cache
+def diffrax_program(problem: Problem, periods: int, solver: str, steps_per_period: float):
+    """Tips at all period ends, of drive frequencies and a tolerance."""
+    import diffrax
+    import jax
+    import jax.numpy as jnp
+
+    field, tip = vector_field(problem)
+    ends = jnp.arange(1.0, periods + 1.0)
 
     def lane(drive, accuracy):
         answer = diffrax.diffeqsolve(
@@ -259,9 +273,9 @@ def _diffrax_program(problem: Problem, periods: int, solver: str, steps_per_peri
             0.0,
             float(periods),
             1e-3,
-            jnp.zeros(2 * n),
+            jnp.zeros_like(tip),
             args=drive,
-            saveat=diffrax.SaveAt(ts=ends, fn=lambda t, x, args: x @ jnp.asarray(model.tip)),
+            saveat=diffrax.SaveAt(ts=ends, fn=lambda t, x, args: x @ tip),
             stepsize_controller=diffrax.PIDController(
                 rtol=accuracy, atol=accuracy, dtmax=1.0 / steps_per_period
             ),
@@ -287,7 +301,7 @@ def run_diffrax(
 
     The step is bounded by the period / `steps_per_period`, else loose tolerances skip contacts.
     """
-    program = _diffrax_program(problem, periods, solver, steps_per_period)
+    program = diffrax_program(problem, periods, solver, steps_per_period)
     lanes = len(drive_frequencies)
     chunk = min(chunk, lanes)
     padded = np.resize(drive_frequencies, -(-lanes // chunk) * chunk).reshape(-1, chunk)
