@@ -95,7 +95,7 @@ class KnownContacts:
             since, started = (angle - begun) / self.frequency, begun / self.frequency
             moved = once(lambda: turned(turn, blocks))
             blocks = loop.pushed(moved, phase, started, since) if self.resonant else moved
-            fixed = lax.stop_gradient(turn)[:, :, None]
+            fixed = jax.tree.map(lambda a: lax.stop_gradient(a)[:, None], turn)
             matrix = once(lambda: turned(fixed, matrix))
             if loop.outlook is None:
                 return blocks, phase, angle, late, matrix, delays, peak
@@ -201,8 +201,8 @@ class KnownContacts:
         outlook = self.loop.outlook
         assert outlook is not None
         touching = self.loop.touching(phase)
-        read = outlook.read(blocks, phase, touching, self.loop.phasor(time))
-        table, _ = outlook.signed(phase, touching)
+        table, rest = outlook.signed(phase)
+        read = outlook.read(blocks, self.loop.phasor(time), table, rest)
         kinds = range(1 if self.peak is None else 2)
         rows = [table[:, :-1, kind].reshape(-1, *read.shape[1:]) for kind in kinds]
         every = jnp.concatenate([read, *rows])

@@ -28,6 +28,7 @@ Blocks = Float[Array, "2 blocks *#shape"]
 Which = Bool[Array, "stops *#lanes"]
 Wave = Float[Array, "2 *#shape"]
 Tick = Int[Array, ""]
+Signed = tuple[Float[Array, "2 turning kinds signals *lanes"], Float[Array, "signals *lanes"]]
 
 
 class Flight(NamedTuple):
@@ -77,8 +78,7 @@ class ContactLoop:
         self.period = 2 * jnp.pi / force.angular_frequency
         turning = turning_of(phases, force)
         self.outlook = outlook_of(phases, force, turning) if self.stops else None
-        change = phases.change
-        self.change = change.reshape(-1, *change.shape[3:])
+        self.creeps = jnp.any(phases.rate == 0)
         self.change_rest = spread(phases.change_rest, 3, self.lanes)
         self.change_wave = force.change.real, force.change.imag
         self.resonant = jnp.any(force.driven != 0)
@@ -145,22 +145,26 @@ class ContactLoop:
         phase, left = flight.phase, until - flight.time
         touching = self.touching(phase)
         decay, rate = pick(phase, self.exponent), pick(phase, self.rate)
-        sight = self.look(flight, touching, tick)
+        outlook = self.outlook
+        signed = None if outlook is None else once(lambda: outlook.signed(phase))
+        sight = self.look(flight, touching, signed, tick)
         whole = sight.time >= left
         span = jnp.where(whole, left, sight.time)
-        moved = once(lambda: turned(turn_over(decay, rate, span), flight.blocks))
+        turn = once(lambda: turn_over(decay, rate, span, self.creeps))
+        moved = once(lambda: turned(turn, flight.blocks))
         moved = self.pushed(moved, phase, flight.time, span)
         expected = jnp.where(whole, -1, sight.stop)
-        landing = once(lambda: self.land(flight, moved, span, expected))
+        landing = self.land(flight, moved, span, expected, signed, tick)
         arrived = flight.time + span + landing.late
         rest = lambda: turned(short_turn(decay, rate, landing.late), moved)  # noqa: E731
         landed = self.pushed(once(rest), phase, flight.time + span, landing.late)
         kept, flips = live & ~landing.again, live & (landing.stop >= 0)
-        blocks, new_phase = landed, phase
-        if self.outlook is not None:
-            changed = once(lambda: self.change_phase(landed, phase, landing.stop, arrived))
-            blocks = jnp.where(flips, changed, landed)
-            new_phase = phase ^ self.phase_of(flips & (self.numbers == landing.stop))
+
+        def changed() -> Array:
+            changed = self.change_phase(landed, phase, landing.stop, arrived)
+            return jnp.where(kept, jnp.where(flips, changed, landed), flight.blocks)
+
+        new_phase = phase ^ self.phase_of(flips & (self.numbers == landing.stop))
         done = kept & whole & ~flips
         measures, passed = flight.measures, flight.passed
         if self.gauge is not None and measures is not None and passed is not None:
@@ -174,7 +178,7 @@ class ContactLoop:
             stretch = self.gauge.stretch(begun, phase, flight.time, duration, touching)
             passed = passed.add(stretch, kept)
         return Flight(
-            blocks=jnp.where(kept, blocks, flight.blocks),
+            blocks=once(changed) if self.stops else jnp.where(kept, landed, flight.blocks),
             phase=new_phase,
             time=jnp.where(kept, jnp.where(done, 0.0, arrived), flight.time),
             scale=jnp.where(kept, sight.scale, flight.scale),
@@ -195,28 +199,38 @@ class ContactLoop:
         measures = gauge.measure(passed, measures, self.touching, self.phasor)
         return flight._replace(passed=passed.forgotten(), measures=measures)
 
-    def look(self, flight: Flight, touching: Which, tick: Tick) -> Sight:
+    def look(self, flight: Flight, touching: Which, signed: Signed | None, tick: Tick) -> Sight:
         """How far a lane may go, or is to go to land on a crossing."""
         time, stop = jnp.full_like(flight.scale, jnp.inf), jnp.full_like(flight.phase, -1)
         sight = Sight(time, stop, flight.scale)
-        if self.outlook is not None:
+        if self.outlook is not None and signed is not None:
             wave = self.phasor(flight.time)
-            seen = self.outlook, flight.blocks, wave, flight.scale, flight.tolerance
-            outlook, blocks, wave, scale, tolerance = lax.stop_gradient(seen)
-            sight = outlook.look(blocks, flight.phase, touching, wave, scale, tolerance, tick)
+            seen = self.outlook, flight.blocks, wave, flight.scale, flight.tolerance, signed
+            outlook, blocks, wave, scale, tolerance, signed = lax.stop_gradient(seen)
+            phase = flight.phase
+            sight = outlook.look(blocks, phase, touching, wave, scale, tolerance, signed, tick)
             hinted = flight.hint > 0
             time = jnp.where(hinted, flight.hint, sight.time)
             stop = jnp.where(hinted, flight.hinted, sight.stop)
         return Sight(time, stop, sight.scale)
 
-    def land(self, flight: Flight, moved: Blocks, span: Number, expected: Phase) -> Landing:
+    def land(
+        self,
+        flight: Flight,
+        moved: Blocks,
+        span: Number,
+        expected: Phase,
+        signed: Signed | None,
+        tick: Tick,
+    ) -> Landing:
         """What becomes of lanes that went for a time, to where a stop was `expected` to change."""
         phase, begun, tolerance = flight.phase, flight.time, flight.tolerance
         touching = self.touching(phase)
         none = jnp.full(span.shape, -1, jnp.int32)
-        if self.outlook is None:
+        if self.outlook is None or signed is None:
             return Landing(none > 0, none, 0 * span, 0 * span, none)
-        read = self.outlook.read(moved, phase, touching, self.phasor(begun + span))
+        outlook, wave = self.outlook, computed_once(tick, lambda: self.phasor(begun + span))
+        read = computed_once(tick, lambda: outlook.read(moved, wave, *signed))
         shortest = pick(phase, self.outlook.shortest)
         value, slope, _ = self.outlook.breach(touching, read)
         late, real = self.outlook.crossing(touching, read)
@@ -246,8 +260,13 @@ class ContactLoop:
         """Block coordinates of the phase that a stop's change of contact leads to."""
         flat = landed.reshape(2 * self.n, *landed.shape[2:])
         sine, cosine = self.phasor(time)
-        rows = apply_matrix(self.change, flat)
-        rows = rows.reshape(self.count, self.stops, 2 * self.n, *rows.shape[1:])
-        rows = rows + self.change_rest
-        rows = rows + self.change_wave[0] * sine + self.change_wave[1] * cosine
-        return pick(stop, pick(phase, rows)).reshape(landed.shape)
+        change = self.phases.change
+        if change.ndim > 4:  # every lane has its own
+            rows = apply_matrix(pick(stop, pick(phase, change)), flat)
+        else:
+            rows = apply_matrix(change.reshape(-1, 2 * self.n), flat)
+            rows = pick(stop, pick(phase, rows.reshape(*change.shape[:3], *flat.shape[1:])))
+        real, imaginary, rest = (
+            pick(stop, pick(phase, a)) for a in (*self.change_wave, self.change_rest)
+        )
+        return (rows + rest + real * sine + imaginary * cosine).reshape(landed.shape)

@@ -1,13 +1,15 @@
 """Small numerical pieces shared by the steppers."""
 
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+
+lax = jax.lax
 
 T = TypeVar("T")
 
@@ -50,7 +52,8 @@ def apply_matrix(
         # So few lanes that calls count less than what takes so long to compile.
         return jnp.einsum("ij...,j...->i...", matrix, vector)
     # One fused loop over lanes, where a batch of products is one call for each of them.
-    return total(matrix * vector, axis=1)
+    along = partial(lax.index_in_dim, keepdims=False)
+    return reduce(jnp.add, [along(matrix, j, 1) * along(vector, j, 0) for j in range(len(vector))])
 
 
 def by_halves(join: Callable[[T, T], T], terms: T, axis: int = 0) -> T:

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax.stepping.contact_phases import ContactPhases
@@ -32,7 +33,7 @@ from vibrojax.stepping.signal_bounds import (
     places_ahead,
 )
 from vibrojax.stepping.signals import Turning, contact_signals, with_derivatives, with_wave
-from vibrojax.stepping.turns import product, squares, turn_over, turned
+from vibrojax.stepping.turns import Turn, eightfold, product, turn_over, turned
 
 lax = jax.lax
 
@@ -46,7 +47,7 @@ Tick = Int[Array, ""]
 PLACES, INTERVALS = 8, 32
 """Intervals of the coarse grid, of which so many are looked at together; and all of them."""
 PARTS = 8
-"""In so many parts one of them is looked at closely."""
+"""In so many parts one of them is looked at closely. Turns go by eights."""
 GRID = 0.21
 """Longest interval, over 1 / lowest angular frequency of the phase."""
 ROUGH, ROUND_OFF = 4e-6, 1e-14
@@ -71,7 +72,8 @@ class Sight(NamedTuple):
 class Outlook(eqx.Module):
     """Signals of every phase, positive in contact, and what it takes to look ahead.
 
-    Signals are the depths; where a stop may not pull, the pushes follow, as depths.
+    Signals are the depths; where a stop may not pull, the pushes follow, as depths. All are signed:
+    positive where contact changes.
     """
 
     turning: Turning
@@ -86,21 +88,18 @@ class Outlook(eqx.Module):
     """What a drive in resonance may add in a second."""
     creeps: Bool[Array, ""]
     """Whether any phase has real eigenvalues."""
+    grows: Bool[Array, ""]
+    """Whether any has eigenvalues that grow."""
     pulls: bool = eqx.field(static=True)
 
-    def signed(self, phase: Phase, touching: Which) -> tuple[Array, Array]:
-        """Rows that read the signals and what they are at rest, positive where contact changes."""
-        sign = jnp.where(touching, -1.0, 1.0)
-        sign = sign if self.pulls else jnp.concatenate([sign, sign])
-        rest = pick(phase, self.rest) * sign
-        zero = jnp.zeros_like(rest)
-        return pick(phase, self.rows) * sign, jnp.stack([rest, zero, zero])
+    def signed(self, phase: Phase) -> tuple[Array, Array]:
+        """Rows that read the signals and their derivatives, and what the signals are at rest."""
+        return pick(phase, self.rows), pick(phase, self.rest)
 
-    def read(self, blocks: Blocks, phase: Phase, touching: Which, wave: Wave) -> Array:
-        """Read signals and their first two derivatives."""
-        rows, rest = self.signed(phase, touching)
-        blocks = with_wave(blocks, wave)
-        return product(rows, blocks[:, :, None, None]) + rest
+    def read(self, blocks: Blocks, wave: Wave, rows: Array, rest: Array) -> Array:
+        """Read signals and their first two derivatives by `signed` rows."""
+        read = product(rows, with_wave(blocks, wave)[:, :, None, None])
+        return jnp.concatenate([read[:1] + rest, read[1:]])
 
     def breach(self, touching: Which, read: Float[Array, "kinds signals *#where"]) -> Array:
         """Values and derivatives of what has to pass zero for a stop to change its contact."""
@@ -129,6 +128,7 @@ class Outlook(eqx.Module):
         wave: Wave,
         scale: Lane,
         tolerance: Lane,
+        signed: tuple[Array, Array],
         tick: Tick,
     ) -> Sight:
         """Look ahead from where lanes are; `wave` is sine and cosine of the drive phase."""
@@ -138,18 +138,21 @@ class Outlook(eqx.Module):
         sway = pick(phase, self.sway)
         step = pick(phase, self.longest) * scale
         part = step / PARTS
-        rows, rest = once(lambda: self.signed(phase, touching))
-        rows, rest = rows[:, :, :2], rest[0]
-        turn = once(lambda: turn_over(decay, rate, part))
-        turns = squares(turn, (PARTS * PLACES).bit_length(), tick)
+        rows, rest = signed[0][:, :, :2], signed[1]
+        turn = once(lambda: turn_over(decay, rate, part, self.creeps))
+        over_interval = once(lambda: eightfold(turn))
+        over_several = once(lambda: eightfold(over_interval))
 
-        def largest():
+        def growing() -> Array:
+            return jnp.exp(jnp.maximum(jnp.max(decay, axis=0), 0.0) * INTERVALS * step)
+
+        def largest() -> Array:
             # Of every block in every signal for as long as it is looked at.
-            growth = jnp.exp(jnp.maximum(jnp.max(decay, axis=0), 0.0) * INTERVALS * step)
-            size = jnp.sqrt(now[0] ** 2 + now[1] ** 2) * growth
-            return jnp.sqrt(rows[0, :, 0] ** 2 + rows[1, :, 0] ** 2) * size[:, None], growth
+            size = (now[0] ** 2 + now[1] ** 2) * growth**2
+            return jnp.sqrt((rows[0, :, 0] ** 2 + rows[1, :, 0] ** 2) * size[:, None])
 
-        amplitude, growth = once(largest)
+        growth = where_needed(self.grows, growing, jnp.ones_like(rate))
+        amplitude = once(largest)
 
         def apart():
             # Of two real eigenvalues that make a pair the fast one may long have died out.
@@ -166,15 +169,16 @@ class Outlook(eqx.Module):
         errors = once(lambda: errors_of(amplitude, speed * step, PARTS))
         errors = where_needed(self.creeps, apart, errors)
 
-        def rough() -> Margin:
+        def grid() -> _Grid:
             more = sway * INTERVALS * step + errors.flat + ROUGH * errors.size - tolerance
-            return _single(Margin(errors.cubic, more))
+            coarse = pick(phase, _single(self.rows[:, :, :, :2]))
+            turns, margin = (over_interval, over_several), Margin(errors.cubic, more)
+            return _Grid(coarse, *_single((rest, now, step, turns, margin)))
 
-        turns = turns[PARTS.bit_length() - 1], turns[-1]
-        grid = once(lambda: _single(_Grid(rows, rest, now, step, turns)))
-        interval = self._first_doubt(grid, once(rough), touching)
+        interval = self._first_doubt(once(grid), touching)
         begun = interval * step
-        there = once(lambda: turned(turn_over(decay, rate, begun), now))
+        leap = once(lambda: turn_over(decay, rate, begun, self.creeps))
+        there = once(lambda: turned(leap, now))
 
         def fine() -> Array:
             more = sway * (begun + 2 * step) - ROUND_OFF * errors.size - tolerance
@@ -191,11 +195,9 @@ class Outlook(eqx.Module):
             scale=jnp.where(again, jnp.maximum(scale / 8, FINEST), jnp.minimum(2 * scale, 1.0)),
         )
 
-    def _first_doubt(
-        self, grid: "_Grid", margin: Margin, touching: Which
-    ) -> Float[Array, "*lanes"]:
+    def _first_doubt(self, grid: "_Grid", touching: Which) -> Float[Array, "*lanes"]:
         """First interval of the coarse grid in which a contact may change; else their number."""
-        rows, rest, blocks, step, (turn, leap) = grid
+        rows, rest, blocks, step, (turn, leap), margin = grid
 
         def some(tick: Tick, carry: tuple[Lane, Blocks]) -> tuple[Lane, Blocks]:
             first, blocks = carry
@@ -295,8 +297,9 @@ class _Grid(NamedTuple):
     rest: Float[Array, "signals *lanes"]
     blocks: Float[Array, "2 blocks *lanes"]
     step: Float[Array, "*lanes"]
-    turns: tuple[Float[Array, "3 blocks *lanes"], Float[Array, "3 blocks *lanes"]]
+    turns: tuple[Turn, Turn]
     """Over an interval, and over as many as are looked at together."""
+    margin: Margin
 
 
 def _single(numbers: Any) -> Any:
@@ -329,13 +332,17 @@ def outlook_of(phases: ContactPhases, force: Forcing, turning: Turning) -> Outlo
         for a in (value, driven)
     )
     slowest = jnp.maximum(jnp.min(turning.speed[:, :-1], axis=1), w)
+    k, count = phases.num_stops, len(signals.rest)
+    touching = (np.arange(count)[:, None] >> np.arange(signals.rest.shape[1]) % k) & 1
+    sign = 1.0 - 2.0 * touching.reshape(*touching.shape, *(1,) * w.ndim)
     return Outlook(
         turning=turning,
         longest=GRID / slowest,
         shortest=LANDING / jnp.max(turning.speed, axis=1),
-        rows=with_derivatives(turning, force, signals),
-        rest=signals.rest,
+        rows=with_derivatives(turning, force, signals) * sign[:, None, None, None],
+        rest=signals.rest * sign,
         sway=jnp.sum(size * push[:, None], axis=2),
         creeps=jnp.any(phases.rate == 0),
+        grows=jnp.any(phases.exponent > 0),
         pulls=all(phases.can_pull),
     )

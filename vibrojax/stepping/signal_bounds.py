@@ -11,6 +11,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from vibrojax.stepping.turns import Turn
+
 SHAPE = 16 / 6
 """Middle coefficient of 16 x^2 (1 - x)^2, the shape of a cubic's largest error, as a quartic."""
 SLOPE = 384 * 3**0.5 / 216
@@ -37,7 +39,8 @@ def errors_of(amplitude: Float[Array, "blocks signals *lanes"], turn: Array, par
     flat = 2 + 0.3 * turn
     slow = SHAPE * cubic <= flat
     kinds = jnp.where(slow, cubic, 0.0), of_parts, jnp.where(slow, 0.0, flat), 1 + turn
-    return Errors(*(jnp.sum(amplitude * kind[:, None], axis=0) for kind in kinds))
+    of_blocks = (zip(amplitude, kind, strict=True) for kind in kinds)
+    return Errors(*(reduce(jnp.add, [a * k for a, k in blocks]) for blocks in of_blocks))
 
 
 class Margin(NamedTuple):
@@ -58,11 +61,11 @@ def places_ahead(
     rest: Float[Array, "signals *lanes"],
     blocks: Float[Array, "2 blocks *lanes"],
     step: Float[Array, "*lanes"],
-    turn: Float[Array, "3 blocks *lanes"],
+    turn: Turn,
     count: int,
 ) -> list[Place]:
     """Read signals now and after so many turns, an interval of `step` (s) each."""
-    (p, r, q), (x, y) = (list(map(list, a)) for a in (turn, blocks))
+    p, r, q, x, y = map(list, (*turn, *blocks))
     first, second = ([list(map(list, block)) for block in side] for side in rows)
 
     def read(kind: int, signal: int) -> Array:

@@ -1,53 +1,78 @@
 """What a time does to the blocks of a phase: turns with decay, or two exponentials.
 
-A turn is the matrix [[p, -q], [q, r]] of every block, kept as (p, r, q) along its first axis; turns
-of a block commute, and one after another is the turn over both times.
+A turn is the matrix [[p, -q], [q, r]] of every block; turns of a block commute, and one after
+another is the turn over both times.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import partial, reduce
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from vibrojax._tools.trigonometry import cosine_and_sine
-from vibrojax.stepping.elementary import computed_once, total
+from vibrojax._tools.trigonometry import cosine, cosine_and_sine
+from vibrojax.stepping.elementary import computed_once, where_needed
 
-Turns = Float[Array, "3 *#shape"]
 Tick = Int[Array, ""]
 Rows = Float[Array, "2 *#shape"]
+
+
+class Turn(NamedTuple):
+    """Turns of blocks, with their decay."""
+
+    p: Float[Array, "*shape"]
+    r: Float[Array, "*shape"]
+    q: Float[Array, "*shape"]
 
 
 def turn_over(
     decay: Float[Array, "2 blocks *#lanes"],
     rate: Float[Array, "blocks *#lanes"],
     time: Float[Array, "*#lanes"],
-) -> Float[Array, "3 blocks *lanes"]:
-    """Turns over a time, s. Real pairs have rate 0, and each row its own exponent."""
-    growth, angle = jnp.exp(decay * time), rate * time
-    c, s = cosine_and_sine(angle)
-    return jnp.stack([growth[0] * c, growth[1] * c, growth[0] * s])
+    creeps: Bool[Array, ""] | None = None,
+) -> Turn:
+    """Turns over a time, s. Real pairs have rate 0, and each row its own exponent.
+
+    Where no pair `creeps`, r is p and need not be computed.
+    """
+    growth = jnp.exp(decay[0] * time)
+    c, s = cosine_and_sine(rate * time)
+    p = growth * c
+
+    def apart() -> Array:
+        return jnp.exp(decay[1] * time) * cosine(rate * time)
+
+    return Turn(p, apart() if creeps is None else where_needed(creeps, apart, p), growth * s)
 
 
 def short_turn(
     decay: Float[Array, "2 blocks *#lanes"],
     rate: Float[Array, "blocks *#lanes"],
     time: Float[Array, "*#lanes"],
-) -> Float[Array, "3 blocks *lanes"]:
+) -> Turn:
     """The same, for times of at most a thousandth of every block's own: by series."""
     a, b = decay * time, rate * time
     growth = 1 + a * (1 + a / 2 * (1 + a / 3))
     c, s = 1 - b * b / 2, b * (1 - b * b / 6)
-    return jnp.stack([growth[0] * c, growth[1] * c, growth[0] * s])
+    return Turn(growth[0] * c, growth[1] * c, growth[0] * s)
 
 
-def both(first: Turns, second: Turns) -> Turns:
+def both(first: Turn, second: Turn) -> Turn:
     """One turn after another."""
     (p, r, q), (p2, r2, q2) = first, second
-    return jnp.stack([p * p2 - q * q2, r * r2 - q * q2, q * p2 + r * q2])
+    return Turn(p * p2 - q * q2, r * r2 - q * q2, q * p2 + r * q2)
 
 
-def squares(turn: Turns, count: int, tick: Tick) -> list[Turns]:
+def eightfold(turn: Turn) -> Turn:
+    """A turn eight times."""
+    for _ in range(3):
+        turn = both(turn, turn)
+    return turn
+
+
+def squares(turn: Turn, count: int, tick: Tick) -> list[Turn]:
     """The turn once, twice, four times, ...: as many of them as `count`."""
     found = [turn]
     for _ in range(count - 1):
@@ -56,20 +81,22 @@ def squares(turn: Turns, count: int, tick: Tick) -> list[Turns]:
 
 
 def doubled(
-    after: Callable[[Array, Array], Array], turns: Sequence[Array], first: Array, tick: Tick
+    after: Callable[[Turn, Array], Array], turns: Sequence[Turn], first: Array, tick: Tick
 ) -> Array:
     """Put behind what is along the third axis the same, turned further: once for every turn."""
 
     def further(turn, found):
-        turn = turn.reshape(*turn.shape[:2], *(1,) * (found.ndim - turn.ndim), *turn.shape[2:])
-        return jnp.concatenate([found, after(turn, found)], axis=2)
+        def wide(a):
+            return a.reshape(a.shape[0], *(1,) * (found.ndim - 1 - a.ndim), *a.shape[1:])
+
+        return jnp.concatenate([found, after(jax.tree.map(wide, turn), found)], axis=2)
 
     for turn in turns:
         first = computed_once(tick, partial(further, turn, first))
     return first
 
 
-def turned(turn: Turns, blocks: Rows) -> Rows:
+def turned(turn: Turn, blocks: Rows) -> Rows:
     """Block coordinates after a turn."""
     (p, r, q), (x, y) = turn, blocks
     return jnp.stack([p * x - q * y, q * x + r * y])
@@ -87,4 +114,6 @@ def product(
     rows: Float[Array, "2 blocks *#shape"], blocks: Float[Array, "2 blocks *#shape"]
 ) -> Float[Array, "*shape"]:
     """Sum over blocks and their two rows: one fused loop, where a reduction is not vectorised."""
-    return total(total(rows * blocks, axis=1))
+    (first, second), (x, y) = rows, blocks
+    both = zip(first, x, second, y, strict=True)
+    return reduce(jnp.add, [a * u + b * v for a, u, b, v in both])
