@@ -3,7 +3,10 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from vibrojax._tools.compiled import compiled
@@ -12,6 +15,9 @@ from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.resonance import unbounded_at
 from vibrojax.stepping.stepper import AbstractMarch, AbstractStepper, with_traced_numbers
+
+MANY = 32
+"""Systems of which it counts what is computed once."""
 
 
 class Rigs(eqx.Module):
@@ -34,9 +40,42 @@ class Prepared(eqx.Module):
 
 
 @compiled(lightly=True)
+def _rigs_of(own: AbstractSystem, shared: AbstractSystem) -> Rigs:
+    def one(own: AbstractSystem) -> Rigs:
+        system = eqx.combine(own, shared)
+        return Rigs(system.equations(), system.drive)
+
+    return eqx.filter_vmap(one)(own)
+
+
 def rigs_of(systems: AbstractSystem) -> Rigs:
     """Compute the equations of systems that are stacked along a leading axis."""
-    return eqx.filter_vmap(lambda system: Rigs(system.equations(), system.drive))(systems)
+    return _rigs_of(*_own_and_shared(systems))
+
+
+def kinds_of_rigs(systems: AbstractSystem) -> Any:
+    """Compile that in the background; return shapes and types of what `rigs_of` will return."""
+    return _rigs_of.ahead(*_own_and_shared(systems))
+
+
+def _own_and_shared(systems: AbstractSystem) -> tuple[AbstractSystem, AbstractSystem]:
+    """Split the numbers of many systems into those of each and those that all have.
+
+    What depends on the second only (the modes, where stops differ) is then computed once. Few
+    systems are not split, as each way to do it compiles.
+    """
+    arrays = jax.tree.leaves(eqx.filter(systems, eqx.is_array))
+
+    def is_own(leaf: Any) -> bool:
+        return eqx.is_array(leaf) and bool(np.any(np.asarray(leaf) != np.asarray(leaf[0])))
+
+    if len(arrays[0]) < MANY or any(isinstance(a, Tracer) for a in arrays):
+        return systems, jax.tree.map(lambda _: None, systems)
+    own = jax.tree.map(is_own, systems)
+    if not any(jax.tree.leaves(own)):
+        return systems, jax.tree.map(lambda _: None, systems)
+    own, shared = eqx.partition(systems, own)
+    return own, jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, shared)
 
 
 @compiled(lightly=True)

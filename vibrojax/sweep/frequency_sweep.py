@@ -15,7 +15,7 @@ from vibrojax.ensemble.frequencies import frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.ensemble.progress import progress_bar
 from vibrojax.model.systems import AbstractSystem
-from vibrojax.stepping.prepared_rigs import prepare, prepared_kinds, rigs_of
+from vibrojax.stepping.prepared_rigs import kinds_of_rigs, prepare, prepared_kinds, rigs_of
 from vibrojax.sweep.frequency_response import FrequencyResponse
 from vibrojax.sweep.settings import SweepSettings
 from vibrojax.sweep.swept_lanes import (
@@ -63,7 +63,7 @@ def frequency_sweep(
     plan = (settings or SweepSettings()).plan(lanes.sample, axis, grid)
     points = len(grid) * len(plan.directions) * int(np.prod(lanes.shape))
     with progress_bar("sweep", points, progress) as bar:
-        compile_ahead(plan, prepared_kinds(plan.stepper, rigs_of.ahead(lanes.systems)))
+        compile_ahead(plan, prepared_kinds(plan.stepper, kinds_of_rigs(lanes.systems)))
         prepared = prepare(plan.stepper, rigs_of(lanes.systems))
         swept = sweep_rigs(plan, prepared, bar.update, warn)
     return _result(lanes, plan, swept)
