@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.steady.settling import is_stable
 from vibrojax.steady.starting import settle
 
 GRADIENTS = json.loads((Path(__file__).parents[1] / "data" / "gradients.json").read_text())
@@ -291,3 +292,16 @@ def test_gradients_of_the_steady_state(case):
         wanted = case["gradients"][name]
         assert slopes[0, i] == pytest.approx(wanted["d_tip_peak"], rel=1e-4), name
         assert slopes[1, i] == pytest.approx(wanted["d_force"], rel=1e-3), name
+
+
+@pytest.mark.parametrize("states", [3, 20])
+def test_period_maps_are_stable_up_to_a_spectral_radius_of_one(states):
+    rng = np.random.default_rng(3)
+    matrices = rng.normal(size=(8, states, states))
+    largest = np.abs(np.linalg.eigvals(matrices)).max(axis=1)
+    radius = np.array([0.2, 0.9, 0.99, 0.999, 1.001, 1.01, 1.1, 5.0])
+    scaled = matrices * (radius / largest)[:, None, None]
+    found = is_stable(jnp.asarray(np.moveaxis(scaled, 0, -1)))
+    np.testing.assert_array_equal(found, radius < 1)
+    for one, stable in zip(scaled, radius < 1, strict=True):
+        assert bool(is_stable(jnp.asarray(one))) is bool(stable)

@@ -121,7 +121,7 @@ class _Branch:
         later = jnp.where(events.stop >= 0, later, 0.0)
         error = jnp.maximum(size_of(change), jnp.max(jnp.abs(later), axis=0, initial=0.0))
         point = _Point(blocks + moved.reshape(blocks.shape), times + later, w + dw)
-        return point, error, on / size_of(on), is_stable(jnp.moveaxis(matrix, -1, 0))
+        return point, error, on / size_of(on), is_stable(matrix)
 
     def tried(self, search: _Search, step: Array) -> _Search:
         """Begin to solve for the point a step further on."""

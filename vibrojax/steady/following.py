@@ -286,7 +286,7 @@ def _advanced(
     straight = (w - track.frequency[0]) / 2 * (now.slope + track.state_slope[0])
     bent, size, length = size_of(step - straight), size_of(now.state), size_of(step)
     goes_on = jnp.where(known, bent <= BENT * length + STRAIGHT * size, length <= 5 * NEAR * size)
-    good = (found.error <= CLOSED) & goes_on & is_stable(jnp.moveaxis(now.matrix, -1, 0))
+    good = (found.error <= CLOSED) & goes_on & is_stable(now.matrix)
     good &= jnp.all(jnp.isfinite(now.slope), axis=0)
 
     def pair(new: Array, old: Array) -> Array:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax._tools.types import AnyArray
-from vibrojax.stepping.elementary import by_halves, total
+from vibrojax.stepping.elementary import by_halves, matrix_product, total
 from vibrojax.stepping.stepper import AbstractMarch
 
 lax = jax.lax
@@ -131,11 +131,10 @@ def found_period(search: Search, tolerance: Float[Array, "*#lanes"]) -> Int[Arra
     return jnp.where(search.streak >= STEADY, first, 0).astype(jnp.int32)
 
 
-def is_stable(matrix: Float[Array, "*lanes states states"]) -> Bool[Array, "*lanes"]:
+def is_stable(matrix: Float[Array, "states states *lanes"]) -> Bool[Array, "*lanes"]:
     """Whether the spectral radius of period maps is below 1: their high powers vanish."""
-    for _ in range(12):
-        matrix = matrix @ matrix
-    return jnp.sqrt(jnp.sum(matrix**2, axis=(-2, -1))) < 1.0
+    power = lax.fori_loop(0, 12, lambda _, power: matrix_product(power, power), matrix)
+    return jnp.sum(power**2, axis=(0, 1)) < 1.0
 
 
 def polish(
@@ -163,10 +162,10 @@ def polish(
         matrix = jnp.moveaxis(jacobian, (0, 1), (-2, -1))
         residual = jnp.moveaxis(y - x, 0, -1)[..., None]
         update = jnp.linalg.solve(jnp.eye(n) - matrix, residual)[..., 0]
-        return (x + jnp.moveaxis(update, -1, 0), matrix, _size(y - x, 0)), None
+        return (x + jnp.moveaxis(update, -1, 0), jacobian, _size(y - x, 0)), None
 
     start = state * weight
-    matrix = jnp.zeros((*frequency.shape, n, n))
+    matrix = jnp.zeros((n, n, *frequency.shape))
     (end, matrix, residual), _ = lax.scan(
         newton, (start, matrix, jnp.zeros_like(frequency)), None, length=NEWTON_STEPS
     )

@@ -56,6 +56,16 @@ def apply_matrix(
     return reduce(jnp.add, [along(matrix, j, 1) * along(vector, j, 0) for j in range(len(vector))])
 
 
+def matrix_product(
+    first: Float[Array, "rows inner *#lanes"], second: Float[Array, "inner columns *#lanes"]
+) -> Float[Array, "rows columns *lanes"]:
+    """Product of a matrix with another, for every lane."""
+    if len(second) > 16 or first.ndim == 2:
+        return jnp.einsum("ij...,jk...->ik...", first, second)
+    # As above.
+    return reduce(jnp.add, [first[:, j, None] * second[j] for j in range(len(second))])
+
+
 def by_halves(join: Callable[[T, T], T], terms: T, axis: int = 0) -> T:
     """Join what lies along an axis of arrays, halves at a time.
 
