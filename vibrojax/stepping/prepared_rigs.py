@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from vibrojax._tools.compiled import compiled
+from vibrojax._tools.compiled import Compiled, compiled
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.systems import AbstractSystem
@@ -18,6 +18,8 @@ from vibrojax.stepping.stepper import AbstractMarch, AbstractStepper, with_trace
 
 MANY = 32
 """Systems of which it counts what is computed once."""
+VERY_MANY = 1024
+"""Rigs for which it counts how fast the program is that prepares them."""
 
 
 class Rigs(eqx.Module):
@@ -78,7 +80,6 @@ def _own_and_shared(systems: AbstractSystem) -> tuple[AbstractSystem, AbstractSy
     return own, jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, shared)
 
 
-@compiled(lightly=True)
 def _prepare(stepper: AbstractStepper, rigs: Rigs) -> Prepared:
     def one(rig: Rigs) -> Prepared:
         reference, _ = rig.drive.reference
@@ -90,6 +91,15 @@ def _prepare(stepper: AbstractStepper, rigs: Rigs) -> Prepared:
     return eqx.filter_vmap(one, out_axes=-1)(rigs)
 
 
+_prepare_few, _prepare_many = compiled(lightly=True)(_prepare), compiled(_prepare)
+
+
+def _preparing(rigs: Any) -> Compiled[..., Prepared]:
+    """Take what compiles fast for few rigs, and what runs fast for many."""
+    count = jax.tree.leaves(eqx.filter(rigs, lambda leaf: hasattr(leaf, "shape")))[0].shape[0]
+    return _prepare_many if count >= VERY_MANY else _prepare_few
+
+
 def _first_frequency(equations: AbstractEquations) -> Array:
     if equations.linear_between_contacts is not None:
         return equations.linear_between_contacts.angular_frequency[0]
@@ -98,9 +108,9 @@ def _first_frequency(equations: AbstractEquations) -> Array:
 
 def prepare(stepper: AbstractStepper, rigs: Rigs) -> Prepared:
     """Make rigs ready to be marched."""
-    return _prepare(with_traced_numbers(stepper), rigs)
+    return _preparing(rigs)(with_traced_numbers(stepper), rigs)
 
 
 def prepared_kinds(stepper: AbstractStepper, rigs: Any) -> Prepared:
     """Compile that in the background; return shapes and types of what `prepare` will return."""
-    return _prepare.ahead(with_traced_numbers(stepper), rigs)
+    return _preparing(rigs).ahead(with_traced_numbers(stepper), rigs)
