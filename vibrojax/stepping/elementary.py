@@ -9,8 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-lax = jax.lax
-
 T = TypeVar("T")
 
 FEW = 16
@@ -52,7 +50,7 @@ def apply_matrix(
         # So few lanes that calls count less than what takes so long to compile.
         return jnp.einsum("ij...,j...->i...", matrix, vector)
     # One fused loop over lanes, where a batch of products is one call for each of them.
-    along = partial(lax.index_in_dim, keepdims=False)
+    along = partial(jax.lax.index_in_dim, keepdims=False)
     return reduce(jnp.add, [along(matrix, j, 1) * along(vector, j, 0) for j in range(len(vector))])
 
 
@@ -62,7 +60,7 @@ def matrix_product(
     """Product of a matrix with another, for every lane."""
     if len(second) > 16 or first.ndim == 2:
         return jnp.einsum("ij...,jk...->ik...", first, second)
-    # As above.
+    # One fused loop here too.
     return reduce(jnp.add, [first[:, j, None] * second[j] for j in range(len(second))])
 
 
