@@ -329,10 +329,9 @@ class Ahead(NamedTuple):
 def nothing_ahead(points: int, states: int) -> LaneTable:
     """Return a table with room for `Ahead` of so many points, in numpy."""
     none: Any = np.zeros(1, np.int32)
-    found = Followed(none > 0, np.zeros((states, 1)), none)  # pyright: ignore[reportArgumentType]
-    pace = Pace(0.0 * none, 0.0 * none)
-    one = Ahead(no_track(1, states), found, none > 0, none > 0, pace)
-    return table_of(one, lanes=points)
+    state: Any = np.zeros((states, 1))
+    found, pace = Followed(none > 0, state, none), Pace(0.0 * none, 0.0 * none)
+    return table_of(Ahead(no_track(1, states), found, none > 0, none > 0, pace), lanes=points)
 
 
 @compiled

@@ -78,7 +78,6 @@ class ContactLoop:
         self.period = 2 * jnp.pi / force.angular_frequency
         turning = turning_of(phases, force)
         self.outlook = outlook_of(phases, force, turning) if self.stops else None
-        self.creeps = jnp.any(phases.rate == 0)
         self.change_rest = spread(phases.change_rest, 3, self.lanes)
         self.change_wave = force.change.real, force.change.imag
         self.resonant = jnp.any(force.driven != 0)
@@ -150,7 +149,8 @@ class ContactLoop:
         sight = self.look(flight, touching, signed, tick)
         whole = sight.time >= left
         span = jnp.where(whole, left, sight.time)
-        turn = once(lambda: turn_over(decay, rate, span, self.creeps))
+        creeps = None if outlook is None else outlook.creeps
+        turn = once(lambda: turn_over(decay, rate, span, creeps))
         moved = once(lambda: turned(turn, flight.blocks))
         moved = self.pushed(moved, phase, flight.time, span)
         expected = jnp.where(whole, -1, sight.stop)

@@ -33,7 +33,7 @@ from vibrojax.stepping.signal_bounds import (
     places_ahead,
 )
 from vibrojax.stepping.signals import Turning, contact_signals, with_derivatives, with_wave
-from vibrojax.stepping.turns import Turn, eightfold, product, turn_over, turned
+from vibrojax.stepping.turns import Turn, product, repeated, turn_over, turned
 
 lax = jax.lax
 
@@ -47,7 +47,7 @@ Tick = Int[Array, ""]
 PLACES, INTERVALS = 8, 32
 """Intervals of the coarse grid, of which so many are looked at together; and all of them."""
 PARTS = 8
-"""In so many parts one of them is looked at closely. Turns go by eights."""
+"""In so many parts one of them is looked at closely; powers of two, as `PLACES`."""
 GRID = 0.21
 """Longest interval, over 1 / lowest angular frequency of the phase."""
 ROUGH, ROUND_OFF = 4e-6, 1e-14
@@ -140,8 +140,8 @@ class Outlook(eqx.Module):
         part = step / PARTS
         rows, rest = signed[0][:, :, :2], signed[1]
         turn = once(lambda: turn_over(decay, rate, part, self.creeps))
-        over_interval = once(lambda: eightfold(turn))
-        over_several = once(lambda: eightfold(over_interval))
+        over_interval = once(lambda: repeated(turn, PARTS))
+        over_several = once(lambda: repeated(over_interval, PLACES))
 
         def growing() -> Array:
             return jnp.exp(jnp.maximum(jnp.max(decay, axis=0), 0.0) * INTERVALS * step)

@@ -66,18 +66,14 @@ def _own_and_shared(systems: AbstractSystem) -> tuple[AbstractSystem, AbstractSy
     What depends on the second only (the modes, where stops differ) is then computed once. Few
     systems are not split, as each way to do it compiles.
     """
-    arrays = jax.tree.leaves(eqx.filter(systems, eqx.is_array))
-
-    def is_own(leaf: Any) -> bool:
-        return eqx.is_array(leaf) and bool(np.any(np.asarray(leaf) != np.asarray(leaf[0])))
-
-    if len(arrays[0]) < MANY or any(isinstance(a, Tracer) for a in arrays):
-        return systems, jax.tree.map(lambda _: None, systems)
-    own = jax.tree.map(is_own, systems)
-    if not any(jax.tree.leaves(own)):
-        return systems, jax.tree.map(lambda _: None, systems)
-    own, shared = eqx.partition(systems, own)
-    return own, jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, shared)
+    arrays, others = eqx.partition(systems, eqx.is_array)
+    leaves = jax.tree.leaves(arrays)
+    is_own: Any = jax.tree.map(lambda _: True, arrays)
+    if len(leaves[0]) >= MANY and not any(isinstance(leaf, Tracer) for leaf in leaves):
+        differs = jax.tree.map(lambda a: bool(np.any(a != a[:1])), jax.tree.map(np.asarray, arrays))
+        is_own = differs if any(jax.tree.leaves(differs)) else is_own
+    own, shared = eqx.partition(arrays, is_own)
+    return own, eqx.combine(jax.tree.map(lambda a: a[0], shared), others)
 
 
 def _prepare(stepper: AbstractStepper, rigs: Rigs) -> Prepared:

@@ -65,11 +65,9 @@ def both(first: Turn, second: Turn) -> Turn:
     return Turn(p * p2 - q * q2, r * r2 - q * q2, q * p2 + r * q2)
 
 
-def eightfold(turn: Turn) -> Turn:
-    """A turn eight times."""
-    for _ in range(3):
-        turn = both(turn, turn)
-    return turn
+def repeated(turn: Turn, times: int) -> Turn:
+    """A turn so many times, a power of two."""
+    return turn if times == 1 else repeated(both(turn, turn), times // 2)
 
 
 def squares(turn: Turn, count: int, tick: Tick) -> list[Turn]:
