@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax._tools.machine import second_level_cache
+from vibrojax.steady import pool_programs
+from vibrojax.steady.map_orbits import least_periods
 from vibrojax.steady.settling import is_stable
 from vibrojax.steady.starting import settle
 
@@ -305,3 +308,29 @@ def test_period_maps_are_stable_up_to_a_spectral_radius_of_one(states):
     np.testing.assert_array_equal(found, radius < 1)
     for one, stable in zip(scaled, radius < 1, strict=True):
         assert bool(is_stable(jnp.asarray(one))) is bool(stable)
+
+
+def test_loops_are_as_wide_as_the_cache_allows(monkeypatch):
+    assert second_level_cache() >= 2**17
+    wide = {}
+    for size in (2**19, 2**21):
+        monkeypatch.setattr(pool_programs, "second_level_cache", lambda size=size: size)
+        wide[size] = [pool_programs.widths_for(1000, numbers) for numbers in (100, 4000, 10**6)]
+    assert wide[2**21] == [(16, 128), (16, 128), (16,)]
+    assert wide[2**19] == [(16, 128), (16, 32), (16,)]
+    assert pool_programs.widths_for(40, 100) == (16, 64)
+    assert pool_programs.widths_for(2, 100) == (2,)
+
+
+def test_orbits_have_the_least_of_their_periods():
+    """Turns by a quarter, a third and a half; found with multiples of their periods."""
+    turns, found = np.array([4, 3, 2, 5]), np.array([8, 6, 8, 5])
+
+    def state(at, periods):
+        angle = 2 * np.pi * periods / turns[at]
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+    every = np.arange(4)
+    for first, least in ((1, [4, 3, 2, 5]), (3, [4, 3, 4, 5])):
+        given = found, state(every, 0), np.full(4, first), state
+        np.testing.assert_array_equal(least_periods(*given), least)

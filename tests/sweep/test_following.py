@@ -95,8 +95,31 @@ def test_where_a_motion_doubles_its_period_the_sweep_does(oscillator):
     assert {1, 2} <= set(periods.ravel().tolist())
     same = np.asarray(found["follow"].period) == periods
     assert same.mean() > 0.9
+    # Chaos is another one after another march.
+    same &= periods > 0
     ours, theirs = (np.asarray(found[s].amplitude_ratio)[same] for s in ("follow", "march"))
     np.testing.assert_allclose(ours, theirs, rtol=1e-4)
+    doubled = same & (periods == 2)
+    followed = np.asarray(found["follow"].periods_marched)[doubled] == 0
+    assert followed.mean() > 0.3
+
+
+def test_other_laws_are_followed_on_the_map_of_a_period(rig):
+    one, law = rig(num_modes=1), vj.HuntCrossley(stiffness=5e5, dissipation=0.2)
+    system = vj.ImpactingBeam(
+        one.beam, (vj.Stop(0.5, 0.4e-3, law),), drive=one.drive, damping_ratio=0.018, num_modes=1
+    )
+    ratios, settings = np.linspace(0.98, 1.3, 17), {"tolerance": 1e-3, "refine_jumps": None}
+    ours, theirs = (swept(system, s, ratios, **settings) for s in ("follow", "march"))
+    followed = np.asarray(ours.periods_marched) == 0
+    assert followed.mean() > 0.5
+    assert (followed & (np.asarray(ours.contact_force) > 0)).sum() > 10
+    np.testing.assert_array_equal(ours.period, theirs.period)
+    apart = ~np.isclose(ours.amplitude_ratio, theirs.amplitude_ratio, rtol=1e-5)
+    apart |= np.asarray(ours.contacts_per_period) != np.asarray(theirs.contacts_per_period)
+    # Downwards as with two stops, below.
+    assert apart.sum() <= 1
+    assert not apart[0].any()
 
 
 def test_two_stops_are_followed_too(rig):

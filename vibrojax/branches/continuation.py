@@ -24,6 +24,8 @@ FIRST_STEP, LONGEST_STEP, SHORTEST_STEP = 0.02, 0.08, 1e-6
 """Of the arclength: change of the motion over its size, and of the parameter over its scale."""
 STRAIGHT = 0.85
 """Least cosine between tangents of neighbouring points."""
+LEFT = 0.03
+"""Most that a Newton correction may be at a point that counts as converged, over the step."""
 MOST_CORRECTIONS = 8
 TICKS = 64
 """Run in one call of the compiled loop."""
@@ -234,7 +236,8 @@ def _advance(trace: Trace, correction, direction, settings: Settings, running):
     newton = jnp.sqrt(dot(change, change) / size**2 + (shift / scale) ** 2)
     corrections = trace.corrections + 1
     good = jnp.isfinite(newton)
-    converged = good & (newton < settings.tolerance)
+    # What is left has to be small beside a short step too, or the way on from there is not known.
+    converged = good & (newton < jnp.minimum(settings.tolerance, LEFT * trace.step))
 
     length = jnp.sqrt(dot(direction, direction) / size**2 + 1 / scale**2)
     unit, unit_parameter = direction / length[:, None, None], 1 / length

@@ -211,7 +211,8 @@ class CurveTracer(eqx.Module):
                 harmonics=harmonics,
                 max_points=max_points,
             )
-            if tried[-1].ending is not Ending.stuck or not len(tried[-1].parameter):
+            lost = tried[-1].ending in (Ending.stuck, Ending.closed, Ending.turned_back)
+            if not lost or not len(tried[-1].parameter):
                 break
         return tried[-1]
 

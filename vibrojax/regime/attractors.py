@@ -318,9 +318,11 @@ def _watched(search: _Search) -> list[Attractors]:
         lanes = search.rig[any_lane], search.frequency[any_lane]
         period = np.array([o.period for _, o in orbits] + [0] * len(wild), int)
         # Periodic motions on to their limits, by whole periods: they were found near them.
-        on = np.where(period > 0, period * -(-ONWARDS // np.maximum(period, 1)), 0)
-        later = search.poincare.march(*lanes, states, on)
-        states = np.where(np.isfinite(later).all(axis=1, keepdims=True), later, states)
+        at = np.flatnonzero(period)
+        if at.size:
+            on = period[at] * -(-ONWARDS // period[at])
+            later = search.poincare.march(*(a[at] for a in lanes), states[at], on)
+            states[at] = np.where(np.isfinite(later).all(axis=1, keepdims=True), later, states[at])
         numbers = sample_motions(
             search.poincare,
             *lanes,

@@ -217,7 +217,8 @@ def folds_ahead(
     rigs, found = table_of(march, xp=np), np.full(len(rig), np.nan)
     weight = np.asarray(march.energy_weight()).T
     left = np.flatnonzero(can_follow(rigs.columns(), len(weight))[rig])
-    widths, to_measure = widths_for(len(left)), widths_to_measure(len(left))
+    each = len(left), rigs.numbers.shape[1]
+    widths, to_measure = widths_for(*each), widths_to_measure(*each)
     for own in np.split(left, np.arange(widths[-1], len(left), widths[-1])):
         if not len(own):
             continue
@@ -255,7 +256,7 @@ def compile_fold_ahead(march: AbstractMarch, lanes: int) -> None:
     Of `march`, whose rigs are its trailing axis, only the shapes are looked at.
     """
     if isinstance(march, ExactMarch):
-        width = widths_for(lanes)[0]
+        width = widths_for(lanes, table_of(march, lanes=1).numbers.shape[1])[0]
         states = jax.eval_shape(lambda march: march.energy_weight(), march).shape[0]
         own, tracks = table_of(march, lanes=width), no_tracks(width, states)
         fold_ahead.ahead(own, tracks, np.ones(width))

@@ -4,9 +4,9 @@ One loop over all lanes would run as long as its slowest lane. Here every lane g
 stages (march, Newton's method, measuring, the next frequency; see `settling`), and what is run is
 always the fullest stage, on as many lanes as one loop takes.
 
-A lane that has settled is followed to its next frequency where that can be (`following`); all else
-is marched. First the march goes near to the limit, for Newton's method; what that does not settle
-marches on to the full tolerance.
+A lane that has settled is followed to its next frequency where that can be, by its contact times
+(`following`) or on the map of its period (`map_orbits`); all else is marched. First the march goes
+near to the limit, for Newton's method; what that does not settle marches on to the full tolerance.
 """
 
 from collections.abc import Callable
@@ -18,9 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax.results.status import Status
 from vibrojax.steady.following import advance, nothing_ahead
 from vibrojax.steady.lane_table import LaneTable, table_of
+from vibrojax.steady.last_motions import LastMotions
+from vibrojax.steady.map_orbits import least_periods
 from vibrojax.steady.pool_programs import (
     filled,
     march_some,
@@ -30,13 +31,13 @@ from vibrojax.steady.pool_programs import (
     widths_for,
     widths_to_measure,
 )
-from vibrojax.steady.settled import Onwards, Settled, place_in_lane
+from vibrojax.steady.settled import SETTLED, Onwards, Settled, place_in_lane, status_of
 from vibrojax.steady.settling import APERIODIC_PERIODS, CLOSED, NEAR, begin_search
-from vibrojax.steady.tracks import begin_track, can_follow, keeps_to_contacts, no_tracks
+from vibrojax.steady.tracks import begin_track, can_follow, keeps_to_contacts
 from vibrojax.stepping.resonance import is_unbounded
 from vibrojax.stepping.stepper import AbstractMarch
 
-MARCH, POLISH, MEASURE, ORIENT, FOLLOW, READ, IDLE = range(7)
+MARCH, APPROACH, POLISH, MEASURE, ORIENT, FOLLOW, READ, IDLE = range(8)
 
 
 class LanePool:
@@ -59,11 +60,14 @@ class LanePool:
         self.rigs = table_of(march, xp=np)
         weight = np.asarray(march.energy_weight()).T
         self.weight = weight[rig]
-        self.follow = (follow & can_follow(self.rigs.columns(), len(weight)))[rig]
-        """Which lanes are followed where that can be."""
+        self.follow = follow
+        """Whether lanes are followed where that can be."""
+        self.by_contacts = (follow & can_follow(self.rigs.columns(), len(weight)))[rig]
+        """Which lanes are, by their contact times, while their period is 1."""
         self.tolerance, self.max_period = tolerance, max_period
         self.max_periods = jnp.asarray(max_periods)
-        self.widths, self.widths_to_measure = widths_for(len(rig)), widths_to_measure(len(rig))
+        each = len(rig), self.rigs.numbers.shape[1]
+        self.widths, self.widths_to_measure = widths_for(*each), widths_to_measure(*each)
 
     def run(
         self,
@@ -88,9 +92,12 @@ class LanePool:
         self.stage, self.limit = np.full(count, IDLE), np.full(count, NEAR)
         self.period, self.wanted = np.zeros((2, count), np.int32)
         """Period found, and the one that Newton's method is to try."""
-        self.tracks, self.tracks_before = (no_tracks(count, self.state.shape[1]) for _ in range(2))
-        """The last motion of a lane, and the one before."""
-        self.track: Any = self.tracks.columns()
+        self.last = LastMotions(count, self.state.shape[1])
+        self.track, self.orbit = self.last.track, self.last.orbit
+        self.predicted = np.zeros(count, bool)
+        """Whether the state of a lane is where its last orbit should have gone on to."""
+        self.residual = np.full(count, np.inf)
+        """How far from its orbit it is known to have been there, over its size."""
         self.pace = np.full((count, 2), np.inf)
         """Rows of `Pace`."""
         most = targets_for(self.widths[0])
@@ -102,26 +109,15 @@ class LanePool:
         """Whether a lane has marched to where it is to be solved for, not followed."""
         every = np.ones(count, bool)
         self._send(np.arange(count), Onwards(every, self.frequency, self.state, every))
+        # In the order of the stages.
+        runs = self._run_march, self._approach, self._run_polish, self._measure, self._orient
+        runs = *runs, self._run_follow, self._read
         while True:
             counts = np.bincount(self.stage, minlength=IDLE + 1)[:IDLE]
             if not counts.any():
                 return
             stage = int(np.argmax(np.minimum(counts, self.widths[-1])))
-            chosen = np.flatnonzero(self.stage == stage)
-            if stage == MARCH:
-                self._run_march(chosen)
-            elif stage == POLISH:
-                self._run_polish(*self._batch_of_like(chosen, self.wanted))
-            elif stage == FOLLOW:
-                self._run_follow(*self._batch(chosen))
-            elif stage == READ:
-                self._read(self._batch(chosen)[0])
-            elif stage == ORIENT:
-                self._orient(chosen)
-            else:
-                window = np.where(self.period > 0, self.period, APERIODIC_PERIODS)
-                own, _ = self._batch_of_like(chosen, window)
-                self._arrive(self._measured(own, window[own]))
+            runs[stage](np.flatnonzero(self.stage == stage))
 
     def _arrive(self, settled: Settled) -> None:
         """Hand over the steady states of some lanes, and send them on."""
@@ -136,22 +132,30 @@ class LanePool:
         lanes, onwards = lanes[last], Onwards(*(a[last] for a in onwards))
         active, frequency, self.state[lanes], goes_on = onwards
         back, on = lanes[~goes_on], lanes[goes_on]
-        self.tracks.numbers[back] = self.tracks_before.numbers[back]
-        self.tracks_before.numbers[on] = self.tracks.numbers[on]
+        self.last.leave(on, back)
         self.frequency[lanes] = np.where(active, frequency, self.frequency[lanes])
         first = np.where(self.track.known[lanes] >= 0, FOLLOW, MARCH)
+        first[(first == MARCH) & self.follow & (self.orbit.period[lanes] > 0)] = APPROACH
         first = np.where(self._grows(lanes), MEASURE, first)
         self.stage[lanes] = np.where(active, first, IDLE)
         self.pace[lanes] = np.inf
         self.search.steps[lanes], self.search.marched[lanes] = 0, 0
         self.oriented[lanes], self.limit[lanes] = False, NEAR
         self._refresh(lanes[self.stage[lanes] == MARCH])
+        self.predicted[lanes], self.residual[lanes] = self.stage[lanes] == APPROACH, np.inf
+        k = lanes[self.predicted[lanes]]
+        self.state[k] = self.last.orbits_at(k, self.frequency[k]) / self.weight[k]
+        self.wanted[k] = self.period[k] = self.orbit.period[k]
+
+    def _go_back(self, lanes: np.ndarray) -> None:
+        """March lanes from their last orbits, which do not go on."""
+        self.predicted[lanes], self.stage[lanes] = False, MARCH
+        self.state[lanes] = self.last.orbits_left(lanes) / self.weight[lanes]
+        self._refresh(lanes)
 
     def _refresh(self, lanes: np.ndarray) -> None:
         """Begin a search where lanes are."""
-        if not len(lanes):
-            return
-        steps = self.search.steps[lanes]
+        self.orbit.period[lanes], steps = 0, self.search.steps[lanes]
         self.searches.numbers[lanes] = self._fresh(self.state[lanes] * self.weight[lanes]).numbers
         self.search.steps[lanes] = steps
 
@@ -206,7 +210,7 @@ class LanePool:
         # Period 1 first: a slowly turning period-1 motion returns best after several periods.
         self.wanted[own], self.period[own] = np.minimum(period, 1), period
         self.stage[own] = np.where(near & (period > 0), POLISH, MEASURE)
-        self.stage[own[near & (period == 1) & self.follow[own]]] = ORIENT
+        self.stage[own[near & (period == 1) & self.by_contacts[own]]] = ORIENT
         self._march_on(own[near & (period == 0) & ~lost])
 
     def _march_on(self, lanes: np.ndarray) -> None:
@@ -216,21 +220,22 @@ class LanePool:
         over = self.search.marched[lanes] >= int(self.max_periods)
         self.stage[lanes] = np.where(over, MEASURE, MARCH)
 
-    def _run_follow(self, own: np.ndarray, lanes: np.ndarray) -> None:
+    def _run_follow(self, chosen: np.ndarray) -> None:
         """Follow lanes towards their frequencies, and from there on to those behind them.
 
         What cannot be followed any further is marched from its last motion.
         """
+        own, lanes = self._batch(chosen)
         n, targets = len(own), np.full((targets_for(len(lanes)), len(lanes)), np.nan)
         targets[0] = self.frequency[lanes]
         if self.ahead is not None:
             targets[1:] = self.ahead(lanes, len(targets) - 1)
-        given = self._own(lanes), self.tracks.pick(lanes), targets, self.pace[lanes].T
+        given = self._own(lanes), self.last.tracks.pick(lanes), targets, self.pace[lanes].T
         table, steps = advance(*given, np.asarray(n // 4))
         # The steps of a lane one after the other.
         rows = np.asarray(table.numbers).reshape(-1, len(lanes), table.numbers.shape[-1])
         rows = rows[: int(steps), :n].swapaxes(0, 1)
-        self.tracks.numbers[own] = rows[:, -1, : self.tracks.numbers.shape[1]]
+        self.last.tracks.numbers[own] = rows[:, -1, : self.last.tracks.numbers.shape[1]]
         every = replace(table, numbers=rows.reshape(-1, rows.shape[-1])).columns()
         good, arrived, ended, state, rounds, *pace = (
             a.reshape(*rows.shape[:2], *a.shape[1:])
@@ -275,11 +280,12 @@ class LanePool:
         self.search.steps[own] += steps
         self._give_up(own[self.track.known[own] < 0])
 
-    def _read(self, lanes: np.ndarray) -> None:
+    def _read(self, chosen: np.ndarray) -> None:
         """Measure motions that have been followed; hand over those that keep to their contacts.
 
         A lane has several points one after the other: it ends before the first that does not.
         """
+        lanes, _ = self._batch(chosen)
         there = np.arange(self.rounds.shape[1]) < self.passed[lanes, None]
         own, rounds = (
             np.repeat(lanes, self.passed[lanes]),
@@ -300,7 +306,7 @@ class LanePool:
                 lanes=lanes,
                 state=state[at],
                 period=one[at],
-                status=one[at] * Status.settled.value,
+                status=one[at] * SETTLED,
                 periods_marched=(self.search.marched[lanes] * first[at]).astype(np.int32),
                 steps=steps[at].astype(np.int32),
                 window=one[at],
@@ -309,62 +315,86 @@ class LanePool:
             self._arrive(settled)
         self._give_up(np.unique(own[bad]))
 
-    def _run_polish(self, own: np.ndarray, lanes: np.ndarray) -> None:
-        state, good = polish_some(
-            self._own(lanes), self.state[lanes], self.frequency[lanes], self.wanted[lanes]
-        )
-        good = np.asarray(good)[: len(own)]
+    def _approach(self, chosen: np.ndarray) -> None:
+        """Take lanes nearer to the orbits that they should have gone on to, by a march each."""
+        own, lanes = self._batch_of_like(chosen, self.wanted)
+        begun = self.state[lanes] * self.weight[lanes]
+        given = self._own(lanes), self._fresh(begun), self.frequency[lanes], self.limit[lanes]
+        periods = jnp.asarray(self.wanted[own[0]].astype(int))
+        search, _ = march_some(*given, periods, np.int32(0)).columns()
+        begun, end = begun[: len(own)], search.history[: len(own), 0]
+        nearer, error = self.last.stepped(own, begun, end)
+        self.search.steps[own] += search.steps[: len(own)]
+        arrived = (error <= CLOSED) | ~(error < self.residual[own] / 2)
+        self.residual[own], self.stage[own[arrived]] = error, POLISH
+        left = own[~arrived]
+        self.state[left] = nearer[~arrived] / self.weight[left]
+
+    def _run_polish(self, chosen: np.ndarray) -> None:
+        own, lanes = self._batch_of_like(chosen, self.wanted)
+        last = self.last.orbits.pick(lanes)
+        last.columns().period[~self.predicted[lanes]] = 0
+        rigs, state, frequency = self._own(lanes), self.state[lanes], self.frequency[lanes]
+        table = polish_some(rigs, last, state, frequency, self.wanted[lanes])
+        # The last column is whether the orbit is to be taken.
+        numbers = np.asarray(table.numbers)[: len(own)]
+        good = numbers[:, -1] > 0
         settled, left = own[good], own[~good]
-        self.state[settled] = np.asarray(state)[: len(own)][good]
-        self.period[settled], self.stage[settled] = self.wanted[settled], MEASURE
-        self._reduce_periods(settled)
+        self.last.orbits.numbers[settled] = numbers[good, :-1]
+        self.state[settled] = self.orbit.state[settled] / self.weight[settled]
+        self.stage[settled] = MEASURE
+        # After a march period 1 has been tried before any other.
+        first, orbit = np.where(self.predicted[settled], 1, 2), self.orbit.state[settled]
+        after = lambda k, n: self._after(settled[k], n)  # noqa: E731
+        self.period[settled] = least_periods(self.wanted[settled], orbit, first, after)
+        self._go_back(left[self.predicted[left]])
+        left = left[self.stage[left] == POLISH]
         over = self.wanted[left] >= self.period[left]
         self.wanted[left] = self.period[left]
         self._march_on(left[over])
 
-    def _reduce_periods(self, settled: np.ndarray) -> None:
-        """Set the least period of orbits found with a multiple of it.
+    def _after(self, own: np.ndarray, periods: int) -> np.ndarray:
+        """March lanes over so many drive periods; in units of energy."""
+        window = np.full(len(own), periods, np.int32)
+        end, _, _ = self._marched(own, self.state[own], self.frequency[own], window)
+        return end * self.weight[own]
 
-        A motion that alternates about its orbit while it settles returns best after twice the
-        period. Period 1 has been tried before any other.
-        """
-        for part in range(2, self.max_period // 2 + 1):
-            own = settled[(self.period[settled] % part == 0) & (self.period[settled] > part)]
-            if not len(own):
-                continue
-            window = np.full(len(own), part, np.int32)
-            end, _, _ = self._marched(own, self.state[own], self.frequency[own], window)
-            gone = (end - self.state[own]) * self.weight[own]
-            size = np.linalg.norm(self.state[own] * self.weight[own], axis=1)
-            self.period[own[np.linalg.norm(gone, axis=1) <= CLOSED * size]] = part
-
-    def _measured(self, own: np.ndarray, window: np.ndarray) -> Settled:
+    def _measure(self, chosen: np.ndarray) -> None:
+        """Measure motions and hand them over, but those that should have kept to their contacts."""
+        window = np.where(self.period > 0, self.period, APERIODIC_PERIODS)
+        own, _ = self._batch_of_like(chosen, window)
         state, grows = self.state[own], self._grows(own)
-        gave_up = np.any(np.isinf(state), axis=1)
         lost = grows | ~np.all(np.isfinite(state), axis=1)
         # A lane that is lost starts again from rest at the next frequency.
-        state = np.where(lost[:, None], 0.0, state)
-        window = np.where(lost, 0, window).astype(np.int32)
-        end, steps, measures = self._marched(own, state, self.frequency[own], window)
+        begin = np.where(lost[:, None], 0.0, state)
+        window = np.where(lost, 0, window[own]).astype(np.int32)
+        end, steps, measures = self._marched(own, begin, self.frequency[own], window)
+        contacts = measures.contacts / np.maximum(window, 1)
+        strays = self.predicted[own] & (contacts != self.orbit.contacts[own])
         self.track.known[own] = -1
-        one = ~lost & (self.period[own] == 1) & self.follow[own]
+        one = ~lost & (self.period[own] == 1) & self.by_contacts[own]
         if one.any():
             log, at = jax.tree.map(lambda a: a[one], measures.events), own[one]
             weighted = self.state[at] * self.weight[at]
             begin_track(self.track, at, weighted, self.frequency[at], log)
+        holds = ~one & ~lost & (self.orbit.period[own] == self.period[own])
+        self.orbit.period[own[~holds]], self.orbit.contacts[own] = 0, contacts
+        status = status_of(state, grows, self.period[own])
         period = np.where(lost, 0, self.period[own])
         # Periodic lanes go on from the orbit itself, the others from where the measuring ended.
         goes_on = (period == 0) & np.isfinite(end).all(axis=1)
-        kind = np.where(period > 0, Status.settled.value, Status.aperiodic.value)
-        words = Status.unbounded, Status.gave_up, Status.diverged
-        status = np.select([grows, gave_up, lost], [w.value for w in words], kind)
-        return Settled(
+        settled = Settled(
             lanes=own,
-            state=np.where(goes_on[:, None], end, state),
+            state=np.where(goes_on[:, None], end, begin),
             period=period,
-            status=status.astype(np.int32),
+            status=status,
             periods_marched=self.search.marched[own].astype(np.int32),
             steps=(self.search.steps[own] + steps).astype(np.int32),
             window=np.maximum(window, 1),
             measures=measures._replace(events=None),
         )
+        if strays.any():
+            self._go_back(own[strays])
+            settled = jax.tree.map(lambda a: a[~strays], settled)
+        if len(settled.lanes):
+            self._arrive(settled)

@@ -8,14 +8,19 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax._tools.compiled import compiled
+from vibrojax._tools.machine import second_level_cache
 from vibrojax.steady.following import advance
 from vibrojax.steady.lane_table import LaneTable, table_of
-from vibrojax.steady.settling import begin_search, found_period, march_until, polish
+from vibrojax.steady.map_orbits import no_orbits, to_orbit
+from vibrojax.steady.settling import begin_search, found_period, march_until
 from vibrojax.steady.tracks import no_tracks
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 
-WIDTHS = {"cpu": (2, 16, 128), "gpu": (64, 1024, 8192)}
-"""How many lanes run side by side in one loop: on a CPU their tables have to stay in the cache."""
+WIDTHS = {"cpu": (2, 16, 32, 64, 128), "gpu": (64, 1024, 8192)}
+"""How many lanes run side by side in one loop: for two, for some, for many."""
+CACHES = 2.0
+"""Most that the numbers of the lanes of a loop may fill of the second-level cache of a CPU: with 20
+modes more of them are slower by a quarter, with 12 not yet."""
 POINTS = 64
 """Of all lanes together for which motions are solved in one call, one of each at the least: calls
 cost more than few lanes take, but many lanes would wait for the one that gets furthest."""
@@ -31,11 +36,10 @@ def march_some(march, search, frequency, limit, max_periods, still):
 
 
 @compiled
-def polish_some(march, state, frequency, period):
-    """Put states on their orbits; also where that was good."""
-    march = march.lanes_last()
-    state, good = polish(march, march.energy_weight(), state.T, frequency, period)
-    return state.T, good
+def polish_some(march, orbits, state, frequency, period):
+    """Put states on orbits; also where those are to be taken, as the last column."""
+    march, last = march.lanes_last(), orbits.lanes_last()
+    return table_of(to_orbit(march, last, state.T, frequency, period))
 
 
 @compiled
@@ -44,20 +48,25 @@ def measure_some(march, state, frequency, window):
     return table_of(march.lanes_last()(state.T, frequency, window, True))
 
 
-def widths_for(lanes: int) -> tuple[int, ...]:
-    """Return the widths in which so many lanes are run, the narrowest first."""
-    widths = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])
-    enough = next((i for i, w in enumerate(widths) if w >= lanes), len(widths) - 1)
-    # Few lanes have one width, many a narrow one for the stragglers too: each compiles.
-    return widths[max(1, enough - 1) : enough + 1] if enough else widths[:1]
+def widths_for(lanes: int, numbers: int) -> tuple[int, ...]:
+    """Return the widths in which so many lanes run that have so many numbers each, narrowest first.
+
+    Few lanes have one width, many a narrow one for the stragglers too: each compiles.
+    """
+    few, some, *more = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])
+    if lanes <= few:
+        return (few,)
+    if jax.default_backend() == "cpu":
+        room = CACHES * second_level_cache() / (8 * numbers)
+        more = [width for width in more if width <= room]
+    wide = next((width for width in (some, *more) if width >= lanes), (some, *more)[-1])
+    return tuple(sorted({some, wide}))
 
 
-def widths_to_measure(lanes: int) -> tuple[int, ...]:
+def widths_to_measure(lanes: int, numbers: int) -> tuple[int, ...]:
     """Return the widths in which points of so many lanes are measured: few lanes have several."""
-    few, some, _ = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])
-    if lanes > few:
-        return widths_for(lanes) if lanes > some else (some,)
-    return (4 * few,)  # wider it compiles longer
+    few = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])[0]
+    return widths_for(lanes, numbers) if lanes > few else (4 * few,)  # wider it compiles longer
 
 
 def targets_for(width: int) -> int:
@@ -98,12 +107,13 @@ def compile_ahead(march: AbstractMarch, lanes: int, max_period: int, follow: boo
     def some(width: int) -> tuple[LaneTable, np.ndarray, np.ndarray]:
         return table_of(march, lanes=width), np.zeros((width, states)), np.ones(width)
 
-    widths = widths_for(lanes)
+    numbers = table_of(march, lanes=1).numbers.shape[1]
+    widths = widths_for(lanes, numbers)
     for width in reversed(widths):
         own, state, ones = some(width)
         search = table_of(begin_search(state.T, max_period, np), xp=np)
         march_some.ahead(own, search, ones, ones, np.asarray(0), np.int32(0))
-    for width in reversed(widths_to_measure(lanes)):
+    for width in reversed(widths_to_measure(lanes, numbers)):
         own, state, ones = some(width)
         measure_some.ahead(own, state, ones, ones.astype(np.int32))
     for width in reversed(widths):
@@ -112,4 +122,5 @@ def compile_ahead(march: AbstractMarch, lanes: int, max_period: int, follow: boo
             tracks, targets = no_tracks(width, states), np.ones((targets_for(width), width))
             advance.ahead(own, tracks, targets, np.ones((2, width)), np.asarray(0))
         else:
-            polish_some.ahead(own, state, ones, ones.astype(np.int32))
+            orbits = no_orbits(width, states)
+            polish_some.ahead(own, orbits, state, ones, ones.astype(np.int32))

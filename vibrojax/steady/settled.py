@@ -5,7 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrojax.results.status import Status
 from vibrojax.stepping.measures import Measures
+
+SETTLED = Status.settled.value
 
 
 def place_in_lane(lanes: Int[np.ndarray, " points"]) -> Int[np.ndarray, " points"]:
@@ -13,6 +16,21 @@ def place_in_lane(lanes: Int[np.ndarray, " points"]) -> Int[np.ndarray, " points
     every = np.arange(len(lanes))
     first = np.diff(lanes, prepend=-1) != 0
     return every - np.maximum.accumulate(np.where(first, every, 0))
+
+
+def status_of(
+    state: Float[np.ndarray, "lanes states"],
+    grows: Bool[np.ndarray, " lanes"],
+    period: Int[np.ndarray, " lanes"],
+) -> Int[np.ndarray, " lanes"]:
+    """Return the status of lanes by their states: infinite where they gave up, NaN where lost.
+
+    `grows` says which would grow without bound.
+    """
+    kind = np.where(period > 0, SETTLED, Status.aperiodic.value)
+    lost = [grows, np.isinf(state).any(axis=1), ~np.isfinite(state).all(axis=1)]
+    words = Status.unbounded, Status.gave_up, Status.diverged
+    return np.select(lost, [w.value for w in words], kind).astype(np.int32)
 
 
 class Settled(NamedTuple):

@@ -1,10 +1,9 @@
-"""From a state to the steady state it leads to: march, recognise, polish.
+"""From a state to the steady state it leads to: march, and recognise.
 
 A steady state is recognised on the stroboscopic map: the state returns after n drive periods, and
 the geometric decay of the returns says how far away the limit still is. Where it is near, Newton's
-method on the map of n periods (Jacobian in forward mode through the stepper) puts the state on the
-orbit; only a stable orbit, close to where the march was, is accepted, so the march alone decides
-which attractor it is. The rest marches on.
+method puts the state on the orbit; only a stable orbit, close to where the march was, is accepted,
+so the march alone decides which attractor it is. The rest marches on.
 """
 
 from types import ModuleType
@@ -22,7 +21,6 @@ lax = jax.lax
 
 NEAR = 1e-3
 """Relative distance from the limit at which Newton's method is tried."""
-NEWTON_STEPS = 3
 CLOSED = 1e-5
 """Relative return before the last Newton step that shows the steps converge: they square it."""
 STEADY = 3
@@ -135,42 +133,3 @@ def is_stable(matrix: Float[Array, "states states *lanes"]) -> Bool[Array, "*lan
     """Whether the spectral radius of period maps is below 1: their high powers vanish."""
     power = lax.fori_loop(0, 12, lambda _, power: matrix_product(power, power), matrix)
     return jnp.sum(power**2, axis=(0, 1)) < 1.0
-
-
-def polish(
-    march: AbstractMarch,
-    weight: Float[Array, "states *#lanes"],
-    state: Float[Array, "states *lanes"],
-    frequency: Float[Array, "*lanes"],
-    period: Int[Array, "*lanes"],
-) -> tuple[Float[Array, "states *lanes"], Bool[Array, "*lanes"]]:
-    """Take Newton steps to the orbit of each lane's period; say which ended on a stable orbit.
-
-    Lanes of period 0 stay where they are.
-    """
-    n = state.shape[0]
-    lanes = frequency.ndim
-    eye = jnp.eye(n).reshape((n, n) + (1,) * lanes) * jnp.ones_like(state)
-
-    def image(weighted):
-        return march(weighted / weight, frequency, period, False)[0] * weight
-
-    def newton(carry, _):
-        x, _, _ = carry
-        y, push = jax.linearize(image, x)
-        jacobian = jnp.moveaxis(jax.vmap(push)(eye), 0, 1)  # rows, columns, lanes
-        matrix = jnp.moveaxis(jacobian, (0, 1), (-2, -1))
-        residual = jnp.moveaxis(y - x, 0, -1)[..., None]
-        update = jnp.linalg.solve(jnp.eye(n) - matrix, residual)[..., 0]
-        return (x + jnp.moveaxis(update, -1, 0), jacobian, _size(y - x, 0)), None
-
-    start = state * weight
-    matrix = jnp.zeros((n, n, *frequency.shape))
-    (end, matrix, residual), _ = lax.scan(
-        newton, (start, matrix, jnp.zeros_like(frequency)), None, length=NEWTON_STEPS
-    )
-    size = _size(start, 0)
-    near = _size(end - start, 0) <= 5 * NEAR * size
-    closed = residual <= CLOSED * size
-    good = is_stable(matrix) & near & closed & (period > 0) & jnp.all(jnp.isfinite(end), axis=0)
-    return jnp.where(good, end, start) / weight, good
