@@ -13,7 +13,7 @@ UNITS = {"K": 2**10, "M": 2**20, "G": 2**30}
 @functools.cache
 def second_level_cache() -> int:
     """Bytes of the second-level cache of a core."""
-    with suppress(OSError, ValueError, KeyError, IndexError):  # Linux
+    with suppress(OSError, ValueError, IndexError):  # Linux
         for kind in Path("/sys/devices/system/cpu/cpu0/cache").glob("index*"):
             if (kind / "level").read_text().strip() == "2":
                 size = (kind / "size").read_text().strip()
