@@ -23,10 +23,10 @@ AXES: dict[str, Any] = {
 PENDULUM = vj.default_pendulum().linearised(6)
 
 
-def other_law(gap: float = 0.4e-3, stiffness: float = 5e5) -> vj.ImpactingBeam:
+def other_law() -> vj.ImpactingBeam:
     """The default rig on a stop of Hunt and Crossley."""
-    rig, law = vj.default_rig(), vj.HuntCrossley(stiffness=stiffness, dissipation=0.2)
-    stop = vj.Stop(0.5, gap, law)
+    rig, law = vj.default_rig(), vj.HuntCrossley(stiffness=5e5, dissipation=0.2)
+    stop = vj.Stop(0.5, 0.4e-3, law)
     return vj.ImpactingBeam(rig.beam, (stop,), drive=rig.drive, damping_ratio=0.018)
 
 

@@ -11,7 +11,7 @@ import vibrojax as vj
 from vibrojax._tools.machine import second_level_cache
 from vibrojax.steady import pool_programs
 from vibrojax.steady.map_orbits import least_periods
-from vibrojax.steady.settling import is_stable
+from vibrojax.steady.period_maps import is_stable
 from vibrojax.steady.starting import settle
 
 GRADIENTS = json.loads((Path(__file__).parents[1] / "data" / "gradients.json").read_text())

@@ -19,7 +19,7 @@ from vibrojax._tools.compiled import compiled
 from vibrojax.steady.batches import in_batches
 from vibrojax.steady.growth import ALIGNING, drive_period
 from vibrojax.steady.observed import iterated, observe
-from vibrojax.steady.pool_programs import WIDTHS
+from vibrojax.steady.pool_programs import all_widths
 from vibrojax.steady.settling import APERIODIC_PERIODS
 from vibrojax.stepping.measures import ratios_of
 from vibrojax.stepping.prepared_rigs import Prepared, Rigs, prepare
@@ -36,7 +36,7 @@ States = Float[np.ndarray, "lanes states"]
 
 def width_for(count: int) -> int:
     """Return how many lanes run side by side: the narrowest loop for them all, or the widest."""
-    widths = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])
+    widths = all_widths()
     return next((w for w in widths if w >= count), widths[-1])
 
 

@@ -14,8 +14,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
-from vibrojax.steady.following import FollowedLanes, advance, size_of
+from vibrojax.steady.following import FollowedLanes, advance
 from vibrojax.steady.lane_table import LaneTable, table_of
+from vibrojax.steady.period_maps import is_stable, size_of
 from vibrojax.steady.pool_programs import (
     filled,
     measured,
@@ -23,7 +24,6 @@ from vibrojax.steady.pool_programs import (
     widths_for,
     widths_to_measure,
 )
-from vibrojax.steady.settling import is_stable
 from vibrojax.steady.tracks import begin_track, can_follow, keeps_to_contacts, no_tracks
 from vibrojax.stepping.elementary import apply_matrix
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch

@@ -18,7 +18,7 @@ from vibrojax._tools.types import AnyArray
 from vibrojax.steady.contact_times import Events
 from vibrojax.steady.known_contacts import KnownContacts, Passage
 from vibrojax.steady.lane_table import LaneTable, table_of
-from vibrojax.steady.settling import NEAR, is_stable
+from vibrojax.steady.period_maps import continues, is_stable, size_of, to_return
 from vibrojax.steady.tracks import TURN, Track, no_track
 from vibrojax.stepping.contact_loop import ContactLoop
 from vibrojax.stepping.elementary import apply_matrix, pick
@@ -34,11 +34,6 @@ MOST_ROUNDS = 6
 """Of Newton's method: further away another motion might be found."""
 FREE_ROUNDS = 2
 """After which every one has to halve the residual."""
-BENT = 0.25
-"""Most that a step along the branch may differ from the one that the slopes at its ends give, over
-its length: beyond, there may be a fold in between."""
-STRAIGHT = 1e-3
-"""Steps shorter than this, over the size of the motion, may be bent."""
 FARTHEST = 3.0
 """Longest way beyond the last two points, over their distance, to which a cubic goes on."""
 MORE = 8
@@ -133,7 +128,7 @@ class FollowedLanes:
             error = jnp.maximum(gone, late)
             shrinks = (found.rounds < FREE_ROUNDS) | (error < found.error / 2)
             going = live & (error > CLOSED) & (found.rounds + 1 < MOST_ROUNDS) & shrinks
-            (change,) = _to_return(passed, gap)
+            (change,) = to_return(*_flat(passed, gap))
             moved = passed.late + apply_matrix(passed.delays, change)
             room = 0.4 * _room(self.events, times)
             moved = jnp.where(used, jnp.clip(moved, -room, room), 0.0)
@@ -172,7 +167,8 @@ class FollowedLanes:
     def last_step(self, drive: tuple[Forcing, Forcing], found: _Solved) -> _Motion:
         """Newton's last step to motions that are all but solved for, and their slopes."""
         passed, state, slopes = self.through(drive, found.blocks, found.times)
-        step, change = _to_return(passed, passed.blocks - found.blocks, slopes.end)
+        gaps = passed.blocks - found.blocks, slopes.end
+        step, change = to_return(*_flat(passed, *gaps))
         to_state = pick(jnp.asarray(self.events.first_phase), self.march.phases.to_state)
         return _Motion(
             blocks=found.blocks + step.reshape(found.blocks.shape),
@@ -200,13 +196,11 @@ def _predicted(track: Track, w: Float[Array, " lanes"]) -> tuple[Array, Array]:
     return at(track.state, track.state_slope), at(track.times, track.times_slope)
 
 
-def _to_return(passed: Passage, *gaps: Float[Array, "2 blocks lanes"]) -> list[Array]:
-    """Changes of where motions begin that make up for gaps between end and beginning."""
-    flat = jnp.stack([gap.reshape(-1, gap.shape[-1]).T for gap in gaps], axis=-1)
-    states = flat.shape[1]
-    matrix = jnp.moveaxis(passed.matrix.reshape(states, states, -1), -1, 0)
-    solved = jnp.linalg.solve(jnp.eye(states) - matrix, flat)
-    return [solved[..., k].T for k in range(len(gaps))]
+def _flat(passed: Passage, *gaps: Float[Array, "2 blocks lanes"]) -> list[Array]:
+    """Matrix of a passage and gaps, block coordinates as one vector."""
+    states, lanes = passed.matrix.shape[2:]
+    square = passed.matrix.reshape(states, states, lanes)
+    return [square, *(gap.reshape(states, lanes) for gap in gaps)]
 
 
 def _room(events: Events, times: Float[Array, "events lanes"]) -> Float[Array, "events lanes"]:
@@ -263,11 +257,6 @@ def _section_moved(lanes: FollowedLanes, track: Track, close: Bool[Array, " lane
     return jax.tree.map(lambda a, b: jnp.where(close, a, b), moved, track)
 
 
-def size_of(state: Float[Array, "states lanes"]) -> Float[Array, " lanes"]:
-    """Length of vectors, one for every lane."""
-    return jnp.sqrt(jnp.sum(state**2, axis=0))
-
-
 def _advanced(
     lanes: FollowedLanes, track: Track, w: Float[Array, " lanes"]
 ) -> tuple[Track, Followed]:
@@ -281,11 +270,9 @@ def _advanced(
     size = size_of(guess)
     found = lanes.solve(at, lanes.begin(at, guess), times, jnp.where(size > 0, size, 1.0))
     now = lanes.last_step(drive, found)
-    # Along one branch the slopes at both ends give the step between them.
     step = now.state - track.state[0]
     straight = (w - track.frequency[0]) / 2 * (now.slope + track.state_slope[0])
-    bent, size, length = size_of(step - straight), size_of(now.state), size_of(step)
-    goes_on = jnp.where(known, bent <= BENT * length + STRAIGHT * size, length <= 5 * NEAR * size)
+    goes_on = continues(known, step, straight, size_of(now.state))
     good = (found.error <= CLOSED) & goes_on & is_stable(now.matrix)
     good &= jnp.all(jnp.isfinite(now.slope), axis=0)
 

@@ -320,7 +320,7 @@ class LanePool:
         own, lanes = self._batch_of_like(chosen, self.wanted)
         begun = self.state[lanes] * self.weight[lanes]
         given = self._own(lanes), self._fresh(begun), self.frequency[lanes], self.limit[lanes]
-        periods = jnp.asarray(self.wanted[own[0]].astype(int))
+        periods = jnp.asarray(int(self.wanted[own[0]]))
         search, _ = march_some(*given, periods, np.int32(0)).columns()
         begun, end = begun[: len(own)], search.history[: len(own), 0]
         nearer, error = self.last.stepped(own, begun, end)

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from vibrojax.steady.following import BENT, STRAIGHT, size_of
 from vibrojax.steady.lane_table import LaneTable, table_of
-from vibrojax.steady.settling import CLOSED, NEAR, is_stable
+from vibrojax.steady.period_maps import continues, is_stable, size_of, to_return
+from vibrojax.steady.settling import CLOSED
 from vibrojax.stepping.stepper import AbstractMarch
 
 lax = jax.lax
@@ -79,43 +79,29 @@ def to_orbit(
     weight, n, w = march.energy_weight(), state.shape[0], angular_frequency
     begun, known = state * weight, last.period > 0
     size = size_of(begun)
-    eye = jnp.eye(n)
+    every = jnp.eye(n + 1).reshape(n + 1, n + 1, *w.ndim * (1,)) + jnp.zeros_like(w)
 
     def image(x: States, w: Lanes) -> States:
         return march(x / weight, w, period, False)[0] * weight
 
-    def to_return(matrix: Array, *gaps: States) -> list[States]:
-        left = eye - jnp.moveaxis(matrix, (0, 1), (-2, -1))
-        right = jnp.moveaxis(jnp.stack(gaps), (0, 1), (-1, -2))
-        return list(jnp.moveaxis(jnp.linalg.solve(left, right), (-1, -2), (0, 1)))
-
     def newton(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         search, rounds = carry
-        x = search.state
-        y, push = jax.linearize(image, x, w)
-        still, here = jnp.zeros_like(x), jnp.zeros_like(w)
-        along = [still.at[k].set(1.0) for k in range(n)]
-        columns = jax.vmap(push)(
-            jnp.stack([*along, still]), jnp.stack([*n * [here], jnp.ones_like(w)])
-        )
+        y, push = jax.linearize(image, search.state, w)
+        columns = jax.vmap(push)(every[:, :n], every[:, n])
         matrix, by_frequency = jnp.moveaxis(columns[:n], 0, 1), columns[n]
-        step, slope = to_return(matrix, y - x, by_frequency)
-        residual = size_of(y - x) / jnp.where(size > 0, size, 1.0)
-        new = _Search(x + step, slope, matrix, residual, residual > CLOSED)
-        new = jax.tree.map(lambda a, b: jnp.where(search.going, a, b), new, search)
-        going = new.going & jnp.isfinite(residual) & (period > 0)
-        return new._replace(going=going), rounds + 1
+        step, slope = to_return(matrix, y - search.state, by_frequency)
+        residual = size_of(y - search.state) / jnp.where(size > 0, size, 1.0)
+        going = (residual > CLOSED) & jnp.isfinite(residual)
+        new = _Search(search.state + step, slope, matrix, residual, going)
+        return jax.tree.map(lambda a, b: jnp.where(search.going, a, b), new, search), rounds + 1
 
     begin = _Search(begun, 0 * begun, last.matrix, size + jnp.inf, period > 0)
     found, _ = lax.while_loop(
         lambda carry: jnp.any(carry[0].going) & (carry[1] < JACOBIANS), newton, (begin, 0)
     )
-    # Along one branch the slopes at both ends give the step between them.
-    step = found.state - last.state
+    step = found.state - jnp.where(known, last.state, begun)
     straight = (w - last.frequency) / 2 * (found.slope + last.slope)
-    bent = size_of(step - straight) <= BENT * size_of(step) + STRAIGHT * size
-    near = size_of(found.state - begun) <= 5 * NEAR * size
-    good = jnp.where(known, bent, near) & (found.residual <= CLOSED) & (period > 0)
+    good = continues(known, step, straight, size) & (found.residual <= CLOSED)
     good &= jnp.all(jnp.isfinite(found.state), axis=0) & is_stable(found.matrix)
     return Orbit(period, w, last.contacts, found.state, found.slope, found.matrix), good
 

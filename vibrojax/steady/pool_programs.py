@@ -48,12 +48,17 @@ def measure_some(march, state, frequency, window):
     return table_of(march.lanes_last()(state.T, frequency, window, True))
 
 
+def all_widths() -> tuple[int, ...]:
+    """Return the widths for the device that programs run on."""
+    return WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])
+
+
 def widths_for(lanes: int, numbers: int) -> tuple[int, ...]:
     """Return the widths in which so many lanes run that have so many numbers each, narrowest first.
 
     Few lanes have one width, many a narrow one for the stragglers too: each compiles.
     """
-    few, some, *more = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])
+    few, some, *more = all_widths()
     if lanes <= few:
         return (few,)
     if jax.default_backend() == "cpu":
@@ -65,7 +70,7 @@ def widths_for(lanes: int, numbers: int) -> tuple[int, ...]:
 
 def widths_to_measure(lanes: int, numbers: int) -> tuple[int, ...]:
     """Return the widths in which points of so many lanes are measured: few lanes have several."""
-    few = WIDTHS.get(jax.default_backend(), WIDTHS["gpu"])[0]
+    few = all_widths()[0]
     return widths_for(lanes, numbers) if lanes > few else (4 * few,)  # wider it compiles longer
 
 

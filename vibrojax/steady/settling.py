@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax._tools.types import AnyArray
-from vibrojax.stepping.elementary import by_halves, matrix_product, total
+from vibrojax.stepping.elementary import by_halves, total
 from vibrojax.stepping.stepper import AbstractMarch
 
 lax = jax.lax
@@ -127,9 +127,3 @@ def found_period(search: Search, tolerance: Float[Array, "*#lanes"]) -> Int[Arra
     first = jnp.min(jnp.where(fits, orders, max_period + 1), axis=0)
     first = jnp.where(first <= max_period, first, 0)
     return jnp.where(search.streak >= STEADY, first, 0).astype(jnp.int32)
-
-
-def is_stable(matrix: Float[Array, "states states *lanes"]) -> Bool[Array, "*lanes"]:
-    """Whether the spectral radius of period maps is below 1: their high powers vanish."""
-    power = lax.fori_loop(0, 12, lambda _, power: matrix_product(power, power), matrix)
-    return jnp.sum(power**2, axis=(0, 1)) < 1.0
