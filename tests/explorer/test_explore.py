@@ -1,5 +1,6 @@
 """The explorer: a live curve beside the exact branch, sliders, and the still picture."""
 
+import asyncio
 import types
 
 import numpy as np
@@ -239,3 +240,29 @@ def test_completion_shows_what_is_for_users(explorer):
     assert not [name for name in dir(explorer) if name.startswith("_")]
     assert isinstance(explorer.orbit, types.MethodType)
     assert repr(explorer).startswith("Explorer(gap 0.0002 to 0.0008 m, stiffness 500 to 50000 N/m)")
+
+
+def test_a_slider_that_goes_on_shows_what_was_computed_ahead(explorer, monkeypatch):
+    panel, slow = moved_panel(explorer), explorer.quick_curve
+    slider, asked = panel._sliders["gap"], []
+
+    def counted(winds, **numbers):
+        asked.append(numbers["gap"])
+        return slow(winds, **numbers)
+
+    monkeypatch.setattr(explorer, "quick_curve", counted)
+
+    async def every():
+        shown = []
+        first, step = 0.3e-3, slider.step
+        for gap in (first, first + step, first + 2 * step, first + step, first + 3 * step):
+            slider.value = gap
+            await asyncio.sleep(0.1)
+            shown.append((gap, len(asked), panel._curve))
+        return shown
+
+    shown = asyncio.run(every())
+    # One ahead of the third, which is then there; another way round, and by two steps, it is not.
+    assert [count for _, count, _ in shown] == [1, 3, 4, 6, 7]
+    for gap, _, curve in shown:
+        np.testing.assert_allclose(curve.response, slow(False, gap=gap).response, rtol=1e-6)

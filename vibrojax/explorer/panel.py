@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import html
 import time
+from collections.abc import Callable
 from typing import Any
 
 import ipywidgets
@@ -14,12 +15,18 @@ from vibrojax.explorer.live_curve import MOST_QUICK_POINTS, LiveCurve, highest_s
 from vibrojax.explorer.sliders import is_logarithmic
 from vibrojax.results.variables import axis_unit, with_unit
 
+Numbers = dict[str, float]
+
 STEPS = 100
 """Steps of a slider over its range."""
 HOVER = 40
 """Milliseconds between two looks at where the mouse is."""
-REST = 0.25
-"""Seconds after which the sliders rest."""
+REST, AHEAD = 0.25, 0.01
+"""Seconds after which the sliders rest, and after which the next step of one is computed."""
+ONE_STEP = 1.2
+"""Largest move, in steps of the slider, that is expected to be made again."""
+SAME = 1e-9
+"""Relative difference by which a slider may round."""
 HELP = (
     "Move over the curve to see the orbit under the cursor, or slide along it here. "
     "&#9654; forward sweep, &#9655; (hollow, to the left) backward sweep; solid stable, dashed "
@@ -47,8 +54,12 @@ class Panel:
         for slider in self._sliders.values():
             slider.observe(self._moved, "value")
         self._along.observe(self._slid, "value")
-        self._busy = False
-        self._winds, self._later = False, None
+        self._busy, self._winds = False, False
+        self._timers: list[asyncio.TimerHandle] = []
+        """Of what is done when the sliders stay as they are."""
+        self._before = self.values
+        self._ahead: tuple[Numbers, LiveCurve] | None = None
+        """Numbers that the sliders are expected to show next, and their curve."""
         self._make_room()
         grid = ipywidgets.GridBox(
             list(self._sliders.values()),
@@ -59,7 +70,7 @@ class Panel:
         self._moved(None)
 
     @property
-    def values(self) -> dict[str, float]:
+    def values(self) -> Numbers:
         """What the sliders show."""
         return {name: float(slider.value) for name, slider in self._sliders.items()}
 
@@ -83,19 +94,51 @@ class Panel:
     def _moved(self, _: Any) -> None:
         """A slider has moved: a new curve, and the orbit nearest to the one before."""
         begun = time.perf_counter()
-        if self._later is not None:
-            self._later.cancel()
-            self._later = None
+        for timer in self._timers:
+            timer.cancel()
+        self._timers.clear()
+        now, before, ahead = self.values, self._before, self._ahead
+        self._before, self._ahead = now, None
         try:
-            curve = self._explorer.quick_curve(self._winds, **self.values)
+            if ahead is not None and _same(ahead[0], now):
+                curve = ahead[1]
+            else:
+                curve = self._explorer.quick_curve(self._winds, **now)
         except ValueError as refusal:
             self._words.value = f"These numbers are refused: {html.escape(str(refusal))}"
             return
         self._take(curve, begun)
         self._winds = curve.harmonics is not None
+        following = self._once_more(before, now)
+        if following is not None:
+            self._after(AHEAD, self._look_ahead, following)
         if self._winds:
-            with contextlib.suppress(RuntimeError):  # without the loop of a kernel
-                self._later = asyncio.get_running_loop().call_later(REST, self._rested)
+            self._after(REST, self._rested)
+
+    def _after(self, seconds: float, action: Callable[..., None], *arguments: Any) -> None:
+        """Do something later, if no slider moves until then."""
+        with contextlib.suppress(RuntimeError):  # without the loop of a kernel
+            loop = asyncio.get_running_loop()
+            self._timers.append(loop.call_later(seconds, action, *arguments))
+
+    def _once_more(self, before: Numbers, now: Numbers) -> Numbers | None:
+        """Return the numbers after another step of the slider that has just made one; or None."""
+        moved = [name for name in now if now[name] != before[name]]
+        if len(moved) != 1:
+            return None
+        (name,) = moved
+        slider = self._sliders[name]
+        is_log = isinstance(slider, ipywidgets.FloatLogSlider)
+        was, is_at = np.log10([before[name], now[name]]) if is_log else (before[name], now[name])
+        place = is_at + (is_at - was)
+        if abs(is_at - was) > ONE_STEP * slider.step or not slider.min <= place <= slider.max:
+            return None
+        return now | {name: float(10**place if is_log else place)}
+
+    def _look_ahead(self, following: Numbers) -> None:
+        """Compute the curve that is drawn at once if the slider goes on as it did."""
+        with contextlib.suppress(ValueError):  # a step may lead to numbers that are refused
+            self._ahead = following, self._explorer.quick_curve(self._winds, **following)
 
     def _rested(self) -> None:
         """The sliders rest: the whole of a curve that winds."""
@@ -141,6 +184,11 @@ class Panel:
         self._busy = True  # its own move is no order
         self._along.value = at / max(len(curve.frequency) - 1, 1)
         self._busy = False
+
+
+def _same(some: Numbers, others: Numbers) -> bool:
+    """Whether numbers are the same but for how a slider rounds."""
+    return all(abs(some[name] - others[name]) <= SAME * abs(some[name]) for name in some)
 
 
 def _wide() -> dict[str, Any]:
