@@ -6,7 +6,7 @@ Taper 0 to 0.95, mass ratio 0 to 10, damping ratio 0 to 0.2, base motion 1e-6 to
 (logarithmic), one to three stops on both sides, each with a gap of 0 to 2 mm, a stiffness of 1 to
 1e7 N/m (logarithmic), a damping of 0 to 50 N s/m and a place of 0.05 to 1; 1 to 12 modes; frequency
 ratio 0.6 to 2. Every number of modes and stops is compiled once: `--modes` and `--stops` choose
-some of them.
+some of them, and `--only` goes through those of the rigs that have so many modes.
 """
 
 import argparse
@@ -152,12 +152,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--modes", type=int, nargs="*", default=list(range(1, 13)))
     parser.add_argument("--stops", type=int, nargs="*", default=[1, 2, 3])
+    parser.add_argument("--only", type=int, nargs="*", default=None)
     parser.add_argument("--json", default=None)
     given = parser.parse_args()
     rigs = random_rigs(given.rigs, given.seed, given.modes, given.stops)
+    chosen = [k for k, rig in enumerate(rigs) if given.only is None or rig[0] in given.only]
     makers = {kind: maker(*kind) for kind in {rig[:2] for rig in rigs}}
     rows = []
-    for k in sorted(range(len(rigs)), key=lambda k: rigs[k][:2]):
+    for k in sorted(chosen, key=lambda k: rigs[k][:2]):
         modes, stops, numbers = rigs[k]
         row = {"rig": k, "modes": modes, "stops": stops} | measure(makers[modes, stops], numbers)
         rows.append(row)

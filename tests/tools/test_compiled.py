@@ -2,6 +2,7 @@
 
 import functools
 import gc
+import sys
 import threading
 
 import equinox as eqx
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax._tools import cache, interrupts, programs, waiting
+from vibrojax._tools import cache, interrupts, machine, programs, waiting
 from vibrojax._tools.compiled import _signature as signature_of
 from vibrojax._tools.compiled import compiled, forget, is_alone, sorted_out
 from vibrojax.model.laws import KelvinVoigt
@@ -26,6 +27,17 @@ def test_what_is_no_array_is_held_with_its_type():
     for exponent in (2, 2.0, 1, True, 1.0):
         value, name = function(jnp.asarray(3.0), exponent)
         assert (float(value), name) == (3.0**exponent, type(exponent).__name__)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux counts mappings")
+def test_programs_make_room_before_the_kernel_refuses_memory(monkeypatch):
+    function, other = compiled(power), compiled(power)
+    function(jnp.ones(3), 2)
+    monkeypatch.setattr(machine, "MOST_MAPPINGS", 1e-9)
+    value, _ = other(jnp.full(3, 2.0), 3)
+    np.testing.assert_array_equal(value, 8.0)
+    assert not function.programs
+    assert function(jnp.ones(3), 2)[0].tolist() == [1.0] * 3
 
 
 def test_new_numbers_do_not_trace_again():

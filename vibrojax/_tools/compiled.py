@@ -10,6 +10,7 @@ sources may change under the same name.
 """
 
 import functools
+import gc
 import hashlib
 import io
 import pickle
@@ -25,6 +26,7 @@ import numpy as np
 from jax.core import Tracer
 
 from vibrojax._tools import cache
+from vibrojax._tools.machine import holds_many_mappings
 from vibrojax._tools.programs import Parts, Program, kinds_of, sorted_out, tracing
 from vibrojax._tools.waiting import telling
 
@@ -236,6 +238,10 @@ class Compiled(Generic[Given, Result]):
         """Take the program from memory or disk, or trace it and put it there."""
         known = self.programs.get(signature)
         if known is None:
+            if holds_many_mappings():
+                forget()
+                jax.clear_caches()
+                gc.collect()
             with tracing():
                 known = self.programs[signature] = self._read_or_traced(signature, parts, arrays)
         return known

@@ -7,6 +7,8 @@ from pathlib import Path
 
 UNKNOWN = 2**20
 """Bytes of a cache that cannot be asked for."""
+MOST_MAPPINGS = 0.5
+"""Share of the memory mappings a process may have that programs may take."""
 UNITS = {"K": 2**10, "M": 2**20, "G": 2**30}
 
 
@@ -24,3 +26,14 @@ def second_level_cache() -> int:
             if answer.returncode == 0:
                 return int(answer.stdout) or UNKNOWN
     return UNKNOWN
+
+
+def holds_many_mappings() -> bool:
+    """Whether this process has used up much of what Linux allows it: with the rest XLA crashes.
+
+    Every program takes hundreds, and a process may have 65530.
+    """
+    with suppress(OSError, ValueError):
+        most = int(Path("/proc/sys/vm/max_map_count").read_text())
+        return Path("/proc/self/maps").read_bytes().count(b"\n") > MOST_MAPPINGS * most
+    return False

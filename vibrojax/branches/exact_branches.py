@@ -22,26 +22,41 @@ from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath, OpenedPath, localise
 from vibrojax.steady.starting import settled_states
 
-COMES_BACK = " Another one comes back to where the range starts."
+FROM_HIGH = {
+    Ending.turned_back: " Another one comes back to where the range starts.",
+    Ending.stuck: " It was followed from the high end of the range.",
+}
+"""What is said of a branch from the high end, by how the one from the low end ended."""
+INSIDE = 0.5, 0.25, 0.75
+"""Shares of the range at which a branch may begin, where none does at its ends."""
 
 
 def walk_branches(plan: Plan, paths: AbstractPath) -> list[BranchPoints]:
     """Walk along the branch of every lane from the low end of the range.
 
-    Where that comes back to the low end, the branch that leads on is one from the high end.
+    Where that does not lead to the high end, the branch may be one from there; where there is none
+    at either end, it is one from inside.
     """
     lanes = range(len(plan.labels))
     rigs = CurveRigs(paths, plan.period)
     compile_ahead(rigs, len(lanes))
     walks, endings, notes = _walk_through(plan, rigs, plan.low, lanes)
-    back = [k for k in lanes if endings[k] is Ending.turned_back]
-    if back:
-        others, ended, _ = _walk_through(plan, rigs, plan.high, back)
-        for k in back:
-            if ended[k] is Ending.completed:
+    left = [k for k in lanes if endings[k] in FROM_HIGH]
+    if left:
+        others, ended, begun = _walk_through(plan, rigs, plan.high, left)
+        for k in left:
+            is_first = others[k].points and not walks[k].points
+            if ended[k] is Ending.completed or is_first:
                 start = replace(others[k], points=others[k].points[:1], seen=others[k].seen[:1])
                 walks[k] = _joined(others[k], replace(start, touches=[]))
-                endings[k], notes[k] = ended[k], COMES_BACK
+                endings[k], notes[k] = ended[k], FROM_HIGH[endings[k]] + begun[k]
+    for share in INSIDE:
+        left = [k for k in lanes if not walks[k].points]
+        value = plan.low + share * (plan.high - plan.low)
+        _, starts, begun = _starts(plan, rigs, value, left) if left else ([], {}, [])
+        for k, start in starts.items():
+            walks[k], endings[k], note = _both_ways(plan, rigs, k, start)
+            notes[k] = f" It was followed from the inside of the range.{begun[k]}{note}"
     return _results(plan, rigs, paths, walks, endings, notes)
 
 
@@ -49,6 +64,19 @@ def _walk_through(
     plan: Plan, rigs: CurveRigs, value: float, lanes: Sequence[int]
 ) -> tuple[list[Walk], list[Ending], list[str]]:
     """Walk from one end of the range; also how that ended, and where it began."""
+    walks, starts, notes = _starts(plan, rigs, value, lanes)
+    way = 1.0 if value == plan.low else -1.0
+    jobs = [_job(walks[k], rigs, k, walks[k].go(start, way)) for k, start in starts.items()]
+    endings = [Ending.stuck] * len(walks)
+    for k, ending in zip(starts, run_together(jobs), strict=True):
+        endings[k] = ending
+    return walks, endings, notes
+
+
+def _starts(
+    plan: Plan, rigs: CurveRigs, value: float, lanes: Sequence[int]
+) -> tuple[list[Walk], dict[int, OnCurve], list[str]]:
+    """Walks of all lanes, where those asked for begin at a value, and what is said of that."""
     walks = _walks(plan, rigs, value)
     first = [_job(walks[k], rigs, k, free_flight(walks[k].search, value)) for k in lanes]
     free = dict(zip(lanes, run_together(first), strict=True))
@@ -60,12 +88,20 @@ def _walk_through(
     left = [k for k in lanes if k not in starts]
     for k, motion in _by_settling(value, rigs, walks, left).items():
         starts[k], notes[k] = motion, " It starts from a settled march."
-    way = 1.0 if value == plan.low else -1.0
-    jobs = [_job(walks[k], rigs, k, walks[k].go(start, way)) for k, start in starts.items()]
-    endings = [Ending.stuck] * len(walks)
-    for k, ending in zip(starts, run_together(jobs), strict=True):
-        endings[k] = ending
-    return walks, endings, notes
+    return walks, starts, notes
+
+
+def _both_ways(plan: Plan, rigs: CurveRigs, lane: int, start: OnCurve) -> tuple[Walk, Ending, str]:
+    """Walk up and down from a motion: both as one walk, how they ended, what is said of that."""
+    up, down = (_walks(plan, rigs, start.parameter)[lane] for _ in range(2))
+    rises, falls = run_together(
+        [_job(up, rigs, lane, up.go(start, 1.0)), _job(down, rigs, lane, down.go(start, -1.0))]
+    )
+    if rises is Ending.closed:
+        return up, rises, ""
+    completed = rises is falls is Ending.completed
+    note = "" if completed else f" Downwards: {falls.sentence}"
+    return _joined(down, up), Ending.completed if completed else rises, note
 
 
 def walk_from(
@@ -73,19 +109,14 @@ def walk_from(
 ) -> BranchPoints | None:
     """Walk both ways from a motion near a state; None where there is none."""
     rigs = CurveRigs(paths, plan.period)
-    (up,), (down,) = _walks(plan, rigs, value), _walks(plan, rigs, value)
-    (start,) = run_together([_job(up, rigs, 0, up.search.near(up.search.unit * state, value))])
+    (walk,) = _walks(plan, rigs, value)
+    (start,) = run_together(
+        [_job(walk, rigs, 0, walk.search.near(walk.search.unit * state, value))]
+    )
     if start is None:
         return None
-    rises, falls = run_together(
-        [_job(up, rigs, 0, up.go(start, 1.0)), _job(down, rigs, 0, down.go(start, -1.0))]
-    )
-    if rises is Ending.closed:
-        return _results(plan, rigs, paths, [up], [rises], [""])[0]
-    completed = rises is falls is Ending.completed
-    note = "" if completed else f" Downwards: {falls.sentence}"
-    ending = Ending.completed if completed else rises
-    return _results(plan, rigs, paths, [_joined(down, up)], [ending], [note])[0]
+    walk, ending, note = _both_ways(plan, rigs, 0, start)
+    return _results(plan, rigs, paths, [walk], [ending], [note])[0]
 
 
 def walk_doubled(

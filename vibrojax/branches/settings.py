@@ -25,7 +25,7 @@ class ContinuationSettings(AbstractSettings):
     method: HarmonicBalance | None = None
     """`HarmonicBalance(samples=..., harmonics=...)` of motions that are not exact; None: by the
     tolerance."""
-    max_points: int = eqx.field(static=True, default=5000)
+    max_points: int = eqx.field(static=True, default=10_000)
     """Most points of a branch."""
     longest_step: float = eqx.field(static=True, default=LONGEST_STEP)
     """Longest step along the branch, in its arclength."""
