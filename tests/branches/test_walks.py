@@ -238,6 +238,24 @@ def test_a_branch_that_comes_back_gives_way_to_the_one_from_the_high_end():
     assert np.max(branch.residual) < 1e-9
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("begins", "numbers"),
+    [
+        ("high end", dict(stiffness=1.2e6, gap=3e-4, damping=7.0, base_amplitude=2e-3)),
+        ("inside", dict(stiffness=1.4e6, gap=2e-5, damping=0.3, base_amplitude=1.9e-3)),
+    ],
+)
+def test_where_no_motion_is_found_at_the_low_end_a_branch_begins_elsewhere(begins, numbers):
+    rig = vj.default_rig(num_modes=1, damping_ratio=0.02, **numbers)
+    branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.6, 1.2))
+    assert branch.completed
+    assert f"from the {begins}" in branch.sentence
+    assert (branch.values[0], branch.values[-1]) == (0.6, 1.2)
+    assert np.all(np.diff(branch.arclength) > 0)
+    assert np.max(branch.residual) < 1e-9
+
+
 def test_a_touch_just_before_the_end_of_the_range():
     rig = vj.default_rig(num_modes=1)
     whole = vj.continue_response(rig, frequency_ratio=vj.Range(0.9, 1.3))

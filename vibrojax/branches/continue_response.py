@@ -70,8 +70,9 @@ def continue_response(
             with its parameter, as `(state, value)`; the branch is then followed both ways. The
             state is as of `simulate`: what `system.state(displacement=...)` makes, or (q, q') in
             the coordinates of the system; where the branch passes far from it, a warning and the
-            branch's sentence say so. By default it starts at the low end of the range; at the high
-            end where what starts at the low one only comes back to it, which is said too.
+            branch's sentence say so. By default it starts at the low end of the range. Where
+            nothing does, or what does comes back or ends, exact branches start at the high end, or
+            inside where there is nothing at either; that is said too.
         isolas: whether branches beside this one are looked for, of linear stops: what is found is
             in `branch.isolas`. A sweep misses them by nature. They are looked for from random
             states that settle and by opening and closing all gaps, at 12 values of the range: what
