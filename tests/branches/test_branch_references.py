@@ -1,12 +1,14 @@
 """Branches of all reference rigs, and of two published systems, against what is known of them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.branches import what_follows
 
 DATA = Path(__file__).parents[1] / "data"
 CASES = json.loads((DATA / "sweeps.json").read_text())["cases"]
@@ -209,6 +211,13 @@ def test_what_follows_where_stability_is_lost(oscillator, oscillator_branch):
     data = oscillator_branch.to_xarray()
     assert data.period_doubling_follows.values.tolist()[-1] == "period 2"
     assert f"then period 2 at {last.follows_at:.6g}" in repr(last)
+
+
+def test_of_many_losses_of_stability_the_first_are_told(oscillator_branch, monkeypatch):
+    monkeypatch.setattr(what_follows, "MOST", 1)
+    silent = tuple(replace(p, follows="") for p in oscillator_branch.special_points)
+    (told,) = what_follows.with_what_follows([replace(oscillator_branch, special_points=silent)])
+    assert [p.follows for p in told.special_points if p.follows] == ["period 3"]
 
 
 def test_settled_sweeps_have_what_follows_too(oscillator, oscillator_branch):

@@ -62,7 +62,8 @@ class SpecialPoint(eqx.Module):
     """Whether it was solved for; else it is the nearest motion that was found."""
     follows: str = eqx.field(static=True, default="")
     """What the system does where stability is lost, from next to the branch: `period 2`,
-    `quasi-periodic`, `chaotic`, `another motion of period 1`, or `undecided`."""
+    `quasi-periodic`, `chaotic`, `another motion of period 1`, or `undecided`; of the first 32 such
+    points of a branch, empty of others."""
     follows_at: float = np.nan
     """Where on the unstable side that was seen."""
 

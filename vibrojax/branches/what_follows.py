@@ -21,18 +21,22 @@ PUSH = 1e-3
 """Of the size of the motion, by which it is pushed off the branch."""
 BEFORE, OBSERVED, LONGEST = 500, 160, 16
 """Drive periods marched before, and observed; longest period looked for, over the branch's."""
+MOST = 32
+"""Points of a branch of which it is told: one between chattering motions may have hundreds."""
 RETURN = 1e-5
 """Relative return that makes a period: next to a touch what branches off is very small."""
 
 
 def with_what_follows(branches: list[BranchPoints]) -> list[BranchPoints]:
-    """Say of every special point where stability is lost what the system then does."""
-    asked = [
-        (k, n, *_start(branch, special, at))
-        for k, branch in enumerate(branches)
-        for n, special in enumerate(branch.special_points)
-        if (at := _beyond(branch, special)) is not None
-    ]
+    """Say of the first special points where stability is lost what the system then does."""
+    asked = []
+    for k, branch in enumerate(branches):
+        lost = [
+            (k, n, *_start(branch, special, at))
+            for n, special in enumerate(branch.special_points)
+            if (at := _beyond(branch, special)) is not None
+        ]
+        asked += lost[:MOST]
     if not asked:
         return branches
     lane, number, values, states = zip(*asked, strict=True)

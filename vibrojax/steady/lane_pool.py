@@ -154,7 +154,9 @@ class LanePool:
         self._refresh(lanes)
 
     def _refresh(self, lanes: np.ndarray) -> None:
-        """Begin a search where lanes are."""
+        """Begin a search where lanes are, if there are any."""
+        if not len(lanes):
+            return
         self.orbit.period[lanes], steps = 0, self.search.steps[lanes]
         self.searches.numbers[lanes] = self._fresh(self.state[lanes] * self.weight[lanes]).numbers
         self.search.steps[lanes] = steps
@@ -287,10 +289,8 @@ class LanePool:
         """
         lanes, _ = self._batch(chosen)
         there = np.arange(self.rounds.shape[1]) < self.passed[lanes, None]
-        own, rounds = (
-            np.repeat(lanes, self.passed[lanes]),
-            np.diff(self.rounds[lanes], axis=1, prepend=0)[there],
-        )
+        own = np.repeat(lanes, self.passed[lanes])
+        rounds = np.diff(self.rounds[lanes], axis=1, prepend=0)[there]
         points = self.points.pick(self._rows(lanes)[there]).columns()
         track, state = points.track, points.found.state
         one, weight = np.ones(len(own), np.int32), self.weight[own]
