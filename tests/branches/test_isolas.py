@@ -53,15 +53,19 @@ def test_what_is_on_the_branch_is_no_isola(branch):
 
 
 @pytest.mark.slow
-def test_what_leaves_the_range_and_comes_back_is_compared_too():
+@pytest.mark.parametrize("beyond", [0.1, 2e-3])
+def test_what_leaves_the_range_and_comes_back_is_compared_too(beyond):
     """The branch goes up beyond the range: its lower part comes back in at the high end."""
-    soft, bounds = rig(2e-4, 5500.0), vj.Range(0.9, 1.2)
+    soft = rig(2e-4, 5500.0)
+    fold = vj.continue_response(soft, frequency_ratio=vj.Range(0.9, 1.6)).folds.min()
     settings = vj.SweepSettings(direction="backward")
-    lower = vj.frequency_sweep(soft, frequency_ratio=[1.15, 1.18], settings=settings)
+    ratios = fold + np.array([0.5 * beyond, 0.8 * beyond, 0.12])  # downwards from beyond the range
+    lower = vj.frequency_sweep(soft, frequency_ratio=ratios, settings=settings)
+    bounds = vj.Range(0.9, fold + beyond)
     alone = vj.continue_response(soft, frequency_ratio=bounds)
-    assert (alone.compare(lower)["on_branch"].values == 0).all()
+    assert alone.compare(lower)["on_branch"].values.tolist() == [[0, 0, -1]]
     both = vj.continue_response(soft, frequency_ratio=bounds, isolas=True)
-    assert (both.compare(lower)["on_branch"].values == 1).all()
+    assert both.compare(lower)["on_branch"].values.tolist() == [[1, 1, -1]]
 
 
 def test_stops_that_are_not_linear_are_refused():

@@ -28,6 +28,8 @@ from vibrojax.steady.starting import settled_states
 
 PLACES, STARTS = 12, 8
 """Values of the parameter at which it is looked for others, and random starts at each."""
+INSIDE = 1e-3
+"""How far the outermost are inside of the range, over it: branches may leave it close by."""
 LARGEST = 4.0
 """Largest displacement of a start at a stop, over its gap and what the branch reaches."""
 WIDEST = 1.5
@@ -43,8 +45,8 @@ def isolas_of(plan: Plan, branch: BranchPoints) -> list[BranchPoints]:
     """Look for branches beside one; those that are found, without special order."""
     if not len(branch.values):
         return []
-    edges = np.linspace(plan.low, plan.high, PLACES + 1)
-    values = (edges[:-1] + edges[1:]) / 2
+    inside = INSIDE * (plan.high - plan.low)
+    values = np.linspace(plan.low + inside, plan.high - inside, PLACES)
     values = values[(branch.values.min() < values) & (values < branch.values.max())]
     if not len(values):
         return []
