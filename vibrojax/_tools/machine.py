@@ -29,9 +29,9 @@ def second_level_cache() -> int:
 
 
 def holds_many_mappings() -> bool:
-    """Whether this process has used up much of what Linux allows it: with the rest XLA crashes.
+    """Whether this process has used up much of the memory mappings that Linux allows it.
 
-    Every program takes hundreds, and a process may have 65530.
+    Every program takes hundreds of, by default, 65530; XLA crashes where it is refused one.
     """
     with suppress(OSError, ValueError):
         most = int(Path("/proc/sys/vm/max_map_count").read_text())
