@@ -157,7 +157,7 @@ def test_the_call_makes_the_evaluator(monkeypatch):
     found = propagate(
         vj.default_rig, {"gap": GAP}, FORCE, frequency_ratio=RANGE, taper=0.3, num_modes=2
     )
-    assert asked.pop("settings").max_points == 5000
+    assert asked.pop("settings").max_points == 10_000
     assert asked.pop("place") == pytest.approx([3e-4])
     assert asked == {
         "make": vj.default_rig,
