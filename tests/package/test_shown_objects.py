@@ -49,7 +49,7 @@ PARTS = {
     "Shooting": (vj.Shooting(), "steps_per_period=512"),
     "SweepSettings": (vj.SweepSettings(refine_jumps=None), "refine_jumps=None"),
     "PeriodicSettings": (vj.PeriodicSettings(), "period=1"),
-    "ContinuationSettings": (vj.ContinuationSettings(), "max_points=5000"),
+    "ContinuationSettings": (vj.ContinuationSettings(), "max_points=10000"),
     "RegimeSettings": (vj.RegimeSettings(), "transient=200"),
     "BasinSettings": (vj.BasinSettings(), "period_tolerance=0.01"),
     "OptimiseSettings": (vj.design.OptimiseSettings(), "starts=4"),
