@@ -1,6 +1,5 @@
 """Shared set-up: shapes of every annotated array are checked while the tests run."""
 
-import gc
 import inspect
 import os
 import signal
@@ -24,7 +23,6 @@ from jaxtyping import install_import_hook  # noqa: E402
 # Before anything imports vibrojax, so that all of it is checked.
 _hook = install_import_hook("vibrojax", "checked_when_called.checked")
 
-import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
@@ -32,10 +30,10 @@ from exact_propagation import Problem  # noqa: E402
 from tiers import marks_of  # noqa: E402
 
 import vibrojax as vj  # noqa: E402
-from vibrojax._tools.compiled import forget  # noqa: E402
+from vibrojax._tools.compiled import make_room  # noqa: E402
 
-MOST_MAPPINGS = 20_000
-"""Of memory in a process, of which Linux allows 65530; every compiled function takes several."""
+MOST_MAPPINGS = 0.3
+"""Share of what Linux allows a process; every compiled function takes several."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their markers
@@ -50,11 +48,7 @@ def pytest_collection_modifyitems(items):
 def _room_for_compiled_code():
     """Forget what was compiled before the kernel refuses XLA more memory, which is a crash."""
     yield
-    mappings = Path("/proc/self/maps")
-    if mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
-        jax.clear_caches()
-        forget()
-        gc.collect()
+    make_room(MOST_MAPPINGS)
 
 
 @pytest.fixture(autouse=True, scope="session")

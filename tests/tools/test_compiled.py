@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax._tools import cache, interrupts, machine, programs, waiting
+from vibrojax._tools import cache, interrupts, programs, waiting
+from vibrojax._tools import compiled as compiled_module
 from vibrojax._tools.compiled import _signature as signature_of
 from vibrojax._tools.compiled import compiled, forget, is_alone, sorted_out
 from vibrojax.model.laws import KelvinVoigt
@@ -33,7 +34,7 @@ def test_what_is_no_array_is_held_with_its_type():
 def test_programs_make_room_before_the_kernel_refuses_memory(monkeypatch):
     function, other = compiled(power), compiled(power)
     function(jnp.ones(3), 2)
-    monkeypatch.setattr(machine, "MOST_MAPPINGS", 1e-9)
+    monkeypatch.setattr(compiled_module, "MOST_MAPPINGS", 1e-9)
     value, _ = other(jnp.full(3, 2.0), 3)
     np.testing.assert_array_equal(value, 8.0)
     assert not function.programs

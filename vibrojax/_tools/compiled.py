@@ -26,7 +26,7 @@ import numpy as np
 from jax.core import Tracer
 
 from vibrojax._tools import cache
-from vibrojax._tools.machine import holds_many_mappings
+from vibrojax._tools.machine import mappings_used
 from vibrojax._tools.programs import Parts, Program, kinds_of, sorted_out, tracing
 from vibrojax._tools.waiting import telling
 
@@ -48,6 +48,8 @@ SETTINGS = (
 """Of JAX, on which a traced program depends."""
 STEP_BY_STEP = ("disable_jit", "debug_nans", "debug_infs", "check_tracer_leaks")
 """Of JAX, which need the function itself."""
+MOST_MAPPINGS = 0.5
+"""Share of the memory mappings of a process with which programs are dropped."""
 ANY_CALLS = [
     jax.export.DisabledSafetyCheck.custom_call(f"lapack_{kind}{name}_ffi")
     for kind in "sdcz"
@@ -238,10 +240,7 @@ class Compiled(Generic[Given, Result]):
         """Take the program from memory or disk, or trace it and put it there."""
         known = self.programs.get(signature)
         if known is None:
-            if holds_many_mappings():
-                forget()
-                jax.clear_caches()
-                gc.collect()
+            make_room(MOST_MAPPINGS)
             with tracing():
                 known = self.programs[signature] = self._read_or_traced(signature, parts, arrays)
         return known
@@ -319,10 +318,18 @@ def _read(path: Path) -> tuple[jax.export.Exported, Parts] | None:
 
 
 def forget() -> None:
-    """Drop all programs from memory."""
+    """Drop all programs from memory, those of JAX too."""
     for function in _everything:
         function.programs.clear()
         function.returned.clear()
+    jax.clear_caches()
+
+
+def make_room(share: float) -> None:
+    """Drop all programs if this process has used up a share of the mappings that it may have."""
+    if mappings_used() > share:
+        forget()
+        gc.collect()
 
 
 @overload

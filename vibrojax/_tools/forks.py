@@ -31,7 +31,6 @@ def _mark() -> None:
     if _running.is_set():
         _hanging.set()
         # So that what was compiled is traced again, and refused.
-        jax.clear_caches()
         forget()
 
 

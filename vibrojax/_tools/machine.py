@@ -7,8 +7,6 @@ from pathlib import Path
 
 UNKNOWN = 2**20
 """Bytes of a cache that cannot be asked for."""
-MOST_MAPPINGS = 0.5
-"""Share of the memory mappings a process may have that programs may take."""
 UNITS = {"K": 2**10, "M": 2**20, "G": 2**30}
 
 
@@ -28,12 +26,12 @@ def second_level_cache() -> int:
     return UNKNOWN
 
 
-def holds_many_mappings() -> bool:
-    """Whether this process has used up much of the memory mappings that Linux allows it.
+def mappings_used() -> float:
+    """Share of the memory mappings that Linux allows a process which this one has; else 0.
 
     Every program takes hundreds of, by default, 65530; XLA crashes where it is refused one.
     """
     with suppress(OSError, ValueError):
         most = int(Path("/proc/sys/vm/max_map_count").read_text())
-        return Path("/proc/self/maps").read_bytes().count(b"\n") > MOST_MAPPINGS * most
-    return False
+        return Path("/proc/self/maps").read_bytes().count(b"\n") / most
+    return 0.0

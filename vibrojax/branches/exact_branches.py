@@ -52,8 +52,9 @@ def walk_branches(plan: Plan, paths: AbstractPath) -> list[BranchPoints]:
                 endings[k], notes[k] = ended[k], FROM_HIGH[endings[k]] + begun[k]
     for share in INSIDE:
         left = [k for k in lanes if not walks[k].points]
-        value = plan.low + share * (plan.high - plan.low)
-        _, starts, begun = _starts(plan, rigs, value, left) if left else ([], {}, [])
+        if not left:
+            break
+        _, starts, begun = _starts(plan, rigs, plan.low + share * (plan.high - plan.low), left)
         for k, start in starts.items():
             walks[k], endings[k], note = _both_ways(plan, rigs, k, start)
             notes[k] = f" It was followed from the inside of the range.{begun[k]}{note}"

@@ -57,7 +57,6 @@ class Panel:
         self._busy, self._winds = False, False
         self._timers: list[asyncio.TimerHandle] = []
         """Of what is done when the sliders stay as they are."""
-        self._before = self.values
         self._ahead: tuple[Numbers, LiveCurve] | None = None
         """Numbers that the sliders are expected to show next, and their curve."""
         self._make_room()
@@ -91,16 +90,18 @@ class Panel:
         self._event = Event(source=self._image, watched_events=["mousemove", "click"], wait=HOVER)
         self._event.on_dom_event(self._hovered)
 
-    def _moved(self, _: Any) -> None:
+    def _moved(self, change: dict[str, Any] | None) -> None:
         """A slider has moved: a new curve, and the orbit nearest to the one before."""
         begun = time.perf_counter()
         for timer in self._timers:
             timer.cancel()
         self._timers.clear()
-        now, before, ahead = self.values, self._before, self._ahead
-        self._before, self._ahead = now, None
+        now, ahead = self.values, self._ahead
+        self._ahead = None
         try:
-            if ahead is not None and _same(ahead[0], now):
+            if ahead is not None and np.allclose(
+                [*ahead[0].values()], [*now.values()], rtol=SAME, atol=0.0
+            ):
                 curve = ahead[1]
             else:
                 curve = self._explorer.quick_curve(self._winds, **now)
@@ -109,7 +110,7 @@ class Panel:
             return
         self._take(curve, begun)
         self._winds = curve.harmonics is not None
-        following = self._once_more(before, now)
+        following = self._once_more(change)
         if following is not None:
             self._after(AHEAD, self._look_ahead, following)
         if self._winds:
@@ -121,19 +122,18 @@ class Panel:
             loop = asyncio.get_running_loop()
             self._timers.append(loop.call_later(seconds, action, *arguments))
 
-    def _once_more(self, before: Numbers, now: Numbers) -> Numbers | None:
+    def _once_more(self, change: dict[str, Any] | None) -> Numbers | None:
         """Return the numbers after another step of the slider that has just made one; or None."""
-        moved = [name for name in now if now[name] != before[name]]
-        if len(moved) != 1:
+        if change is None:
             return None
-        (name,) = moved
-        slider = self._sliders[name]
+        slider, places = change["owner"], np.array([change["old"], change["new"]])
         is_log = isinstance(slider, ipywidgets.FloatLogSlider)
-        was, is_at = np.log10([before[name], now[name]]) if is_log else (before[name], now[name])
-        place = is_at + (is_at - was)
-        if abs(is_at - was) > ONE_STEP * slider.step or not slider.min <= place <= slider.max:
+        before, now = np.log10(places) if is_log else places
+        place = now + (now - before)
+        if abs(now - before) > ONE_STEP * slider.step or not slider.min <= place <= slider.max:
             return None
-        return now | {name: float(10**place if is_log else place)}
+        (name,) = (name for name, own in self._sliders.items() if own is slider)
+        return self.values | {name: float(10**place if is_log else place)}
 
     def _look_ahead(self, following: Numbers) -> None:
         """Compute the curve that is drawn at once if the slider goes on as it did."""
@@ -184,11 +184,6 @@ class Panel:
         self._busy = True  # its own move is no order
         self._along.value = at / max(len(curve.frequency) - 1, 1)
         self._busy = False
-
-
-def _same(some: Numbers, others: Numbers) -> bool:
-    """Whether numbers are the same but for how a slider rounds."""
-    return all(abs(some[name] - others[name]) <= SAME * abs(some[name]) for name in some)
 
 
 def _wide() -> dict[str, Any]:
