@@ -163,6 +163,14 @@ def test_submodules_are_reached_all_the_same():
     subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
 
 
+def test_an_import_brings_nothing_that_only_some_calls_need():
+    program = "import sys, vibrojax; print(*sys.modules)"
+    run = [sys.executable, "-c", program]
+    done = subprocess.run(run, check=True, timeout=120, capture_output=True, text=True)
+    needless = {"matplotlib", "pandas", "scipy.linalg", "scipy.stats", "tqdm", "xarray", "zarr"}
+    assert not needless & set(done.stdout.split())
+
+
 def arguments(*functions):
     return {name for f in functions for name in inspect.signature(f).parameters}
 

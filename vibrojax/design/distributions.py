@@ -4,15 +4,13 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.stats
+import scipy
 from jaxtyping import Float
 
 from vibrojax._tools.described import in_short
 from vibrojax.ensemble.lanes import made_by
 from vibrojax.model.systems import AbstractSystem
 
-FROZEN: type = type(scipy.stats.norm())
-"""What `scipy.stats.norm(3e-4, 2e-5)` makes, and every other continuous distribution."""
 EDGE = 2.0**-60
 """Nearest to 0 and 1 that a probability is drawn, as some distributions are infinite there."""
 
@@ -55,9 +53,9 @@ def distributions_of(given: Mapping[str, Any]) -> Distributions:
             "distributions is empty: give at least one, such as "
             "dict(gap=scipy.stats.norm(3e-4, 2e-5))."
         )
-    moments = []
+    moments, frozen = [], type(scipy.stats.norm())  # all continuous ones are of this class
     for name, one in given.items():
-        if not isinstance(one, FROZEN):
+        if not isinstance(one, frozen):
             scipys_own = isinstance(one, scipy.stats.rv_continuous)
             raise ValueError(
                 f"distributions[{name!r}] must be a continuous distribution of scipy.stats with "

@@ -9,7 +9,6 @@ from vibrojax.design.constraints import Goal, words_for
 from vibrojax.design.outputs import output_dataset
 from vibrojax.design.side_by_side import End
 from vibrojax.design.trials import Trial, Trials
-from vibrojax.plot.optimum import plot_optimum
 from vibrojax.results.saving import AbstractSaved
 from vibrojax.results.variables import named_value
 
@@ -167,6 +166,8 @@ class Optimum(AbstractSaved):
 
         The branches of the first and of the best rig are drawn below, where they are known.
         """
+        from vibrojax.plot.optimum import plot_optimum
+
         branches = {}
         for name, response in (("first", self.first_response), ("best", self.response)):
             if getattr(response, "branch", None) is not None:

@@ -21,7 +21,6 @@ from vibrojax.design.trials import Trial, Trials, starts_for
 from vibrojax.design.variables import Variables, variables_of
 from vibrojax.ensemble.ranges import Range
 from vibrojax.model.systems import AbstractSystem
-from vibrojax.plot.optimum import plot_front
 from vibrojax.results.saving import AbstractSaved
 
 if TYPE_CHECKING:
@@ -103,6 +102,8 @@ class ParetoFront(AbstractSaved):
         """
         if not len(self.values):
             raise ValueError(f"There is nothing to draw. {self.sentence}")
+        from vibrojax.plot.optimum import plot_front
+
         return plot_front(self.to_xarray())
 
     def __repr__(self) -> str:

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.design.sobol_indices import SobolIndices
-from vibrojax.plot.propagation import plot_propagation
 from vibrojax.results.saving import AbstractSaved
 from vibrojax.results.variables import PLAIN, axis_description, described_statistic
 
@@ -217,6 +216,8 @@ class Propagation(AbstractSaved):
 
     def plot(self) -> "Figure":
         """Draw the samples of every measure with first order over them, and whose scatter it is."""
+        from vibrojax.plot.propagation import plot_propagation
+
         return plot_propagation(self.to_xarray())
 
     def __repr__(self) -> str:

@@ -12,7 +12,6 @@ from jaxtyping import Float
 from vibrojax._tools.signatures import validated
 from vibrojax.identification.findings import UNLIKELY
 from vibrojax.identification.identification import Identification
-from vibrojax.plot.laws import plot_laws
 from vibrojax.results.saving import save_dataset
 
 if TYPE_CHECKING:
@@ -124,6 +123,8 @@ class LawComparison:
 
     def plot(self) -> "Figure":
         """Draw the force of every record with each law fitted to it, and how the laws compare."""
+        from vibrojax.plot.laws import plot_laws
+
         return plot_laws(self.to_xarray(), {n: f.predictions for n, f in self.fits.items()})
 
     @validated

@@ -29,8 +29,12 @@ from vibrojax.stepping.measures import ratios_of
 from vibrojax.stepping.prepared_rigs import Prepared, Rigs, prepare
 from vibrojax.stepping.stepper import AbstractStepper
 
+lax = jax.lax
+
 FOLD_WIDTH = 16
 """Folds solved for side by side."""
+TOGETHER = 8
+"""Most derivatives that are carried side by side through a march: each has tables of its own."""
 SINGULAR = 1e-2
 """Smallest singular value below which a motion is a fold, in units of energy."""
 SAME = 1e-2
@@ -98,24 +102,34 @@ def _point_slopes(prepared, slopes, rigs, value, is_ratio, state, period) -> _Po
         assert measures is not None  # a march that observes has them
         return end, ratios_of(measures, period, own.reference, jnp)
 
-    _, push = jax.linearize(run, numbers, state, value)
-    n = state.shape[0]
-    nothing = jax.tree.map(jnp.zeros_like, numbers)
-    own = jax.vmap(lambda d: push(d, jnp.zeros_like(state), jnp.zeros_like(value)))
-    end_by_number, by_number = own(take_rigs(slopes, rigs))
-    eye = jnp.broadcast_to(jnp.eye(n + 1)[:, :, None], (n + 1, n + 1, *value.shape))
-    end_by, by_state = jax.vmap(lambda e: push(nothing, e[:-1], e[-1]))(eye)
-    matrix = jnp.eye(n) - jnp.moveaxis(end_by[:-1], (0, 1), (-1, -2))  # points, rows, columns
-    end_by_number = jnp.moveaxis(end_by_number, (0, 1), (-1, -2))
-    change = jnp.linalg.solve(matrix, end_by_number)
+    own = take_rigs(slopes, rigs)
+    n, names = state.shape[0], len(jax.tree.leaves(own)[0])
+
+    def along(way):
+        """Along one of the named numbers, then of the coordinates of the state, then the value."""
+        chosen = jnp.minimum(way, names - 1)
+        by_number = jax.tree.map(lambda a: jnp.where(way < names, a[chosen], 0.0), own)
+        by_state = jnp.zeros_like(state) + (way == names + jnp.arange(n))[:, None]
+        by_value = jnp.zeros_like(value) + (way == names + n)
+        return jax.jvp(run, (numbers, state, value), (by_number, by_state, by_value))[1]
+
+    # One loop for all of them: XLA would take three times as long for one of each kind.
+    runs = -(-(names + n + 1) // TOGETHER)
+    ways = jnp.arange(-(-(names + n + 1) // runs) * runs)
+    ends, read = lax.map(jax.vmap(along), ways.reshape(runs, -1))
+    ends, read = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), (ends, read))
+    by_number, by_state, by_value = ends[:names], ends[names : names + n], ends[names + n]
+    matrix = jnp.eye(n) - jnp.moveaxis(by_state, (0, 1), (-1, -2))  # points, rows, columns
+    by_number = jnp.moveaxis(by_number, (0, 1), (-1, -2))
+    change = jnp.linalg.solve(matrix, by_number)
     variables = {
-        name: by_number[name].T + jnp.einsum("sp,psk->pk", by_state[name][:-1], change)
-        for name in by_number
+        name: a[:names].T + jnp.einsum("sp,psk->pk", a[names : names + n], change)
+        for name, a in read.items()
     }
     weight = eqx.combine(numbers, rest).march.energy_weight().T
     rows = weight[:, :, None]
     return _PointSlopes(
-        variables, rows * matrix / weight[:, None], rows * end_by_number, weight * end_by[-1].T
+        variables, rows * matrix / weight[:, None], rows * by_number, weight * by_value.T
     )
 
 

@@ -7,10 +7,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 
-from vibrojax._tools.compiled import Compiled, compiled
+from vibrojax._tools.compiled import compiled
 
 Result = TypeVar("Result")
 
@@ -57,13 +56,9 @@ def with_columns(function: Callable[..., Result], numbers: Any, *constants: Any)
     return jax.tree.unflatten(structure[0], leaves)
 
 
-def compile_ahead(function: Compiled[..., Any], numbers: Any, *constants: Any) -> None:
-    """Compile in the background what `with_columns` will run; of constants the shapes count."""
-    still = frozen(numbers)
-    if any(isinstance(a, Tracer) for a in jax.tree.leaves(numbers)):  # to be differentiated
-        _columns.ahead(function, still, constants)
-    else:
-        function.ahead(still, *constants)
+def compile_columns_ahead(function: Callable[..., Any], numbers: Any, *constants: Any) -> None:
+    """Compile the Jacobian of `with_columns` in the background; of constants the shapes count."""
+    _columns.ahead(function, frozen(numbers), constants)
 
 
 def _is_smooth(array: Any) -> bool:

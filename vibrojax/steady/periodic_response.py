@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike
 
 from vibrojax._tools.checks import check_one_number, is_traced
 from vibrojax._tools.compiled import compiled, is_alone
@@ -18,11 +18,11 @@ from vibrojax.model.systems import AbstractSystem, as_arrays, check_is_system, e
 from vibrojax.steady.balanced_motion import balanced_strobes, read_balanced, solve_balance
 from vibrojax.steady.contact_times import Events, Orbit, follow_events
 from vibrojax.steady.exact_point import ExactPoint, Guess, exact_point, sampled_guess
-from vibrojax.steady.implicit import compile_ahead, frozen, with_columns
+from vibrojax.steady.implicit import compile_columns_ahead, frozen, with_columns
 from vibrojax.steady.methods import HarmonicBalance, PeriodicSettings, Shooting, check_balance
 from vibrojax.steady.orbit_reading import find_crossings, read_motion, state_at
-from vibrojax.steady.paths import frequency_path
-from vibrojax.steady.periodic_result import PeriodicResponse, reading_of
+from vibrojax.steady.paths import FrequencyPath, frequency_path
+from vibrojax.steady.periodic_result import PeriodicResponse, numbers_of
 from vibrojax.steady.shooting import shoot
 from vibrojax.steady.starting import SAMPLES, sampled_motion, settled_motion
 from vibrojax.stepping.choice import is_exact
@@ -90,6 +90,7 @@ def periodic_response(
     if linear is not None and method is None:
         # About a position that the body falls away from there is no steady response to start from.
         shot = shot or (linear.stiffness_sign is not None and not linear.free)
+    by_contacts = method is None and not shot and (exact or not equations.stops)
     if isinstance(method, HarmonicBalance):
         check_balance(equations.stops)
     if isinstance(method, Shooting) or shot:
@@ -99,12 +100,17 @@ def periodic_response(
                 "needs. Use PeriodicSettings(method=Shooting())."
             )
         found = shoot(arrays, value, is_ratio, period, state, method or Shooting(), exact)
-    elif method is None and (exact or not equations.stops):
-        numbers, how = (arrays, value), (is_ratio, period, state)
-        still = frozen((*numbers, *how))
-        if is_alone(sorted_out(still)[0]):
-            compile_ahead(_read_exactly, numbers, _solved_exactly.ahead(*still), *frozen(how))
-        found = with_columns(_read_exactly, numbers, _solved_exactly(*still), *how)
+    elif by_contacts:
+        numbers, how, still = (arrays, value), (period, state), frozen((arrays, value))
+        if is_alone(sorted_out((still, state))[0]):
+            path = _path_of.ahead(still[0], is_ratio)
+            point = _solved_exactly.ahead(path, still[1], *how)
+            if any(is_traced(a) for a in jax.tree.leaves(numbers)):  # to be differentiated
+                compile_columns_ahead(_exact, numbers, point, *how, is_ratio)
+            else:
+                _read_exactly.ahead(path, still[1], point, *how)
+        point = _solved_exactly(_path_of(still[0], is_ratio), still[1], *frozen(how))
+        found = with_columns(_exact, numbers, point, *how, is_ratio)
     elif not equations.stops:
         raise ValueError("HarmonicBalance() needs a stop; leave method out for a linear system.")
     else:
@@ -112,9 +118,16 @@ def periodic_response(
         samples, harmonics = balance.samples_for(tolerance), balance.harmonics
         how = is_ratio, period, state, samples, harmonics, exact
         found = with_columns(_by_balance, (arrays, value), *how)
-    if guess is not None and not is_traced(found.status):
-        _warn_of_guess(found)
-    return found
+    response = PeriodicResponse(
+        **found,
+        period=period,
+        exact=by_contacts,
+        ratio_units=system.drive.reference[1],
+        system=arrays,
+    )
+    if guess is not None and not is_traced(response.status):
+        _warn_of_guess(response)
+    return response
 
 
 def _warn_of_guess(found: PeriodicResponse) -> None:
@@ -124,9 +137,17 @@ def _warn_of_guess(found: PeriodicResponse) -> None:
 
 
 @compiled(lightly=True)
-def _read_exactly(numbers, found: ExactPoint, is_ratio, period, state) -> PeriodicResponse:
+def _path_of(system: AbstractSystem, is_ratio: bool) -> FrequencyPath:
+    return frequency_path(system, is_ratio, True)
+
+
+def _exact(numbers, found: ExactPoint, period, state, is_ratio) -> dict[str, Array]:
     system, value = numbers
-    path = frequency_path(system, is_ratio, True)
+    return _read_exactly(_path_of(system, is_ratio), value, found, period, state)
+
+
+@compiled(lightly=True)
+def _read_exactly(path: FrequencyPath, value, found: ExactPoint, period, state) -> dict[str, Array]:
     tables = path.tables(value)
     still = jnp.eye(found.orbit.state.size) - found.matrix
 
@@ -144,8 +165,7 @@ def _read_exactly(numbers, found: ExactPoint, is_ratio, period, state) -> Period
     strobes = jax.vmap(lambda phase: state_at(tables, motion, phase, found.events.section, period))(
         phases
     )
-    return reading_of(
-        system,
+    return numbers_of(
         path.at(value),
         reading,
         period=period,
@@ -154,14 +174,12 @@ def _read_exactly(numbers, found: ExactPoint, is_ratio, period, state) -> Period
         multipliers=found.multipliers,
         residual=found.residual,
         converged=found.valid,
-        exact=True,
     )
 
 
 @compiled
-def _solved_exactly(system, value, is_ratio, period: int, state) -> ExactPoint:
+def _solved_exactly(path: FrequencyPath, value, period: int, state) -> ExactPoint:
     """Find the motion and its sequence of contacts; no derivatives."""
-    path = frequency_path(system, is_ratio, True)
     tables = path.tables(value)
     weight = tables.phases.weight
     if not path.equations.stops:
@@ -205,7 +223,7 @@ def _solved_exactly(system, value, is_ratio, period: int, state) -> ExactPoint:
 
 
 @compiled
-def _by_balance(numbers, is_ratio, period, state, samples, harmonics, exact):
+def _by_balance(numbers, is_ratio, period, state, samples, harmonics, exact) -> dict[str, Array]:
     system, value = numbers
     path = frequency_path(system, is_ratio, False)
     place, still = path.at(value), frozen(path).at(frozen(value))
@@ -218,8 +236,7 @@ def _by_balance(numbers, is_ratio, period, state, samples, harmonics, exact):
     reading = read_balanced(place, spectrum, period)
     # Next to an undamped resonance the samples do not determine the motion.
     converged = converged & (reading.residual < MOST_RESIDUAL)
-    return reading_of(
-        system,
+    return numbers_of(
         place,
         reading,
         period=period,
@@ -228,5 +245,4 @@ def _by_balance(numbers, is_ratio, period, state, samples, harmonics, exact):
         multipliers=reading.multipliers,
         residual=lax.stop_gradient(reading.residual),
         converged=converged,
-        exact=False,
     )

@@ -228,8 +228,7 @@ class PeriodicResponse(AbstractRatios):
         return "\n".join(["PeriodicResponse", *values, f"  {self.sentence}"])
 
 
-def reading_of(
-    system: AbstractSystem,
+def numbers_of(
     place: Any,
     reading: Any,
     *,
@@ -239,15 +238,14 @@ def reading_of(
     multipliers: Array,
     residual: Array,
     converged: Array,
-    exact: bool,
-) -> PeriodicResponse:
-    """Put what was read off a motion into ratios to the drive.
+) -> dict[str, Array]:
+    """Put what was read off a motion into ratios to the drive: the arrays of a `PeriodicResponse`.
 
     `strobes` are its states at drive phase 0, one for each drive period of it.
     """
     converged = converged & jnp.all(jnp.isfinite(strobes))
     sooner, distance = compared(place, lax.stop_gradient(strobes), guess)
-    reference, units = place.drive.reference
+    reference, _ = place.drive.reference
     natural = getattr(place.equations, "angular_frequency", None)
     w = place.angular_frequency
     resonances = unbounded_at(place.equations, place.drive)
@@ -255,7 +253,7 @@ def reading_of(
     converged = converged & ~grows
     status = jnp.where(converged, 0, jnp.where(grows, Status.unbounded.value, 1))
     lost = jnp.where(converged, 0.0, jnp.nan)
-    return PeriodicResponse(
+    return dict(
         amplitude_ratio=(reading.highest - reading.lowest) / 2 / reference + lost,
         peak_ratio=jnp.maximum(reading.highest, -reading.lowest) / reference + lost,
         rms_ratio=jnp.sqrt(reading.mean_square) / reference + lost,
@@ -271,10 +269,6 @@ def reading_of(
         guess_distance=jnp.where(converged, distance, jnp.nan),
         frequency=w / (2 * jnp.pi),
         frequency_ratio=w * jnp.nan if natural is None else w / natural[0],
-        period=period,
-        exact=exact,
-        ratio_units=units,
-        system=system,
     )
 
 

@@ -16,7 +16,7 @@ from vibrojax.model.stop_forces import touching_stops
 from vibrojax.model.systems import AbstractSystem, Motion, equation_kinds
 from vibrojax.steady.implicit import frozen, with_columns
 from vibrojax.steady.methods import Shooting
-from vibrojax.steady.periodic_result import PeriodicResponse, Sampled, reading_of
+from vibrojax.steady.periodic_result import Sampled, numbers_of
 from vibrojax.stepping.choice import choose_stepper
 from vibrojax.stepping.cubic import cubic_maximum, largest
 
@@ -40,7 +40,7 @@ def shoot(
     state: Float[Array, " states"] | None,
     method: Shooting,
     exact: bool,
-) -> PeriodicResponse:
+) -> dict[str, Array]:
     """Solve for the motion that returns after `period` drive periods; see `periodic_response`."""
     stepper = method.stepper
     if stepper is None:
@@ -129,8 +129,7 @@ def _shoot(numbers, is_ratio, period, state, method, stepper):
 
     reading, real, imaginary, residual, strobes = solved(numbers, start, unit)
     place = place_of(*numbers)
-    return reading_of(
-        system,
+    return numbers_of(
         place,
         reading,
         period=period,
@@ -139,7 +138,6 @@ def _shoot(numbers, is_ratio, period, state, method, stepper):
         multipliers=jax.lax.stop_gradient(real + 1j * imaginary),
         residual=jax.lax.stop_gradient(residual),
         converged=residual < 1e-6,
-        exact=False,
     )
 
 

@@ -1,6 +1,6 @@
 """The gap ratio of single contacts over contact time and frequency: its folds and level sets."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -65,15 +65,32 @@ class Level(NamedTuple):
     drawn: Bool[np.ndarray, " places"]
 
 
-@compiled
-def _batch(phases, drive, places: Float[Array, "motions 2"], resonant: bool) -> Points:
+def _with_slope(phases, drive, place: Float[Array, "2"], resonant: bool):
+    """Slope of the gap ratio at a place, and the motion there."""
+
     def gap_of(place):
         tables = unit_tables(phases, drive, place[1], resonant=resonant)
         found = single_contact(tables, place[0])
         return found.gap_ratio, found
 
+    return jax.jacfwd(gap_of, has_aux=True)(place)
+
+
+@compiled
+def _gaps(phases, drive, places: Float[Array, "motions 2"], resonant: bool):
+    """Gap ratio and its slope alone, which a search asks for many times."""
+
     def one(place):
-        slope, found = jax.jacfwd(gap_of, has_aux=True)(place)
+        slope, found = _with_slope(phases, drive, place, resonant)
+        return found.gap_ratio, slope
+
+    return jax.vmap(one)(places)
+
+
+@compiled
+def _points(phases, drive, places: Float[Array, "motions 2"], resonant: bool) -> Points:
+    def one(place):
+        slope, found = _with_slope(phases, drive, place, resonant)
         tables = unit_tables(phases, drive, place[1], resonant=resonant)
         reading, valid = read_single_contact(tables, found)
         return Points(
@@ -89,6 +106,13 @@ def _batch(phases, drive, places: Float[Array, "motions 2"], resonant: bool) -> 
     return jax.vmap(one)(places)
 
 
+def _at(function: Any, phases: ContactPhases, drive: AbstractDrive, places: np.ndarray) -> Any:
+    """Evaluate a function of places in batches, of any shape."""
+    flat, resonant = places.reshape(-1, 2), can_resonate(phases)
+    found = in_batches(lambda i: function(phases, drive, flat[i], resonant), len(flat), BATCH)
+    return jax.tree.map(lambda a: a.reshape(places.shape[:-1] + a.shape[1:]), found)
+
+
 def evaluate(
     phases: ContactPhases, drive: AbstractDrive, places: Float[np.ndarray, "*many 2"]
 ) -> Points:
@@ -96,9 +120,7 @@ def evaluate(
 
     `phases` as of `unit_phases`.
     """
-    flat, resonant = jnp.asarray(places.reshape(-1, 2)), can_resonate(phases)
-    found = in_batches(lambda i: _batch(phases, drive, flat[i], resonant), len(flat), BATCH)
-    return jax.tree.map(lambda a: a.reshape(places.shape[:-1] + a.shape[1:]), found)
+    return _at(_points, phases, drive, places)
 
 
 @compiled
@@ -157,6 +179,12 @@ class GapSurface:
         points = evaluate(self.phases, self.drive, places * unit)
         return points._replace(slope=points.slope * unit)
 
+    def gaps(self, places: Float[np.ndarray, "*many 2"]) -> tuple[np.ndarray, np.ndarray]:
+        """Gap ratios at places, and their slopes."""
+        unit = np.array([1.0, self.unit])
+        gap_ratio, slope = _at(_gaps, self.phases, self.drive, places * unit)
+        return gap_ratio, slope * unit
+
     def folds(self, gap: float) -> Float[np.ndarray, " folds"]:
         """Return the frequencies of the folds at a gap ratio, increasing, to `ACCURATE`."""
         i, j = self._cells_with_folds(gap)
@@ -167,8 +195,8 @@ class GapSurface:
         step = np.full_like(place, np.inf)
         around = 1 + (STEPS[:, None, None] * np.diag(WIDTH))[:, :, None]
         for _ in range(ITERATIONS):
-            points = self.evaluate(place * around)
-            values = np.stack([points.gap_ratio - gap, points.slope[..., 0]], axis=-1)
+            gap_ratio, slope = self.gaps(place * around)
+            values = np.stack([gap_ratio - gap, slope[..., 0]], axis=-1)
             matrix = np.einsum("k,kp...c->...cp", WEIGHTS, values) / (place * WIDTH)[:, None]
             step = np.asarray(jnp.linalg.solve(matrix, -values[0, 0][..., None]))[..., 0]
             # Where the surface bends the other way a step can lead far off.
@@ -238,9 +266,9 @@ class GapSurface:
     def _corrected(self, places, level: float) -> tuple[np.ndarray, np.ndarray, Points]:
         """Take Newton steps to the level, the short way in units of cells; say which got there."""
         for _ in range(CORRECTIONS):
-            points = self.evaluate(places)
-            slope = points.slope * self.cell
-            step = (level - points.gap_ratio)[:, None] * slope
+            gap_ratio, slope = self.gaps(places)
+            slope = slope * self.cell
+            step = (level - gap_ratio)[:, None] * slope
             step = np.nan_to_num(step / np.sum(slope**2, axis=1, keepdims=True)) * self.cell
             places = np.maximum(places + np.clip(step, -self.cell, self.cell), 1e-3 * self.least)
         points = self.evaluate(places)
@@ -254,7 +282,7 @@ class GapSurface:
         for _ in range(CORRECTIONS):
             step = 1e-3 * places[:, 0]
             sides = [places + np.stack([k * step, 0 * step], axis=1) for k in (-1.0, 1.0)]
-            low, high = (self.evaluate(side).slope[:, 0] for side in sides)
+            low, high = (self.gaps(side)[1][:, 0] for side in sides)
             move = np.nan_to_num(-(low + high) * step / np.where(high == low, np.inf, high - low))
             moved = places[:, 0] + np.clip(move, -height, height)
             places = np.stack([np.maximum(moved, 1e-2 * self.least), places[:, 1]], axis=1)
