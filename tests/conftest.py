@@ -3,6 +3,7 @@
 import inspect
 import os
 import signal
+from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
 
@@ -42,6 +43,9 @@ def pytest_collection_modifyitems(items):
         for mark in marks_of(item.path.stem, item.name):
             if mark != "quick" or not item.get_closest_marker("slow"):
                 item.add_marker(mark)
+    # Quick ones first, so that a run fails early; then files of many tests, as few fill up gaps.
+    many = Counter(item.path for item in items)
+    items.sort(key=lambda item: (item.get_closest_marker("quick") is None, -many[item.path]))
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -196,12 +196,12 @@ def test_several_devices_share_the_chunks(tmp_path, environment, whole):
 
 
 @pytest.fixture
-def cluster(monkeypatch, environment):
-    """Two worker processes that take their time."""
+def cluster(monkeypatch, environment, deaths):
+    """Two worker processes, which take their time where they are to be killed."""
     distributed = pytest.importorskip("distributed")
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setenv("MAP_PAUSE", "0.3")
+    monkeypatch.setenv("MAP_PAUSE", "0.3" if deaths else "0")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
     ) as cluster:

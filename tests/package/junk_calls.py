@@ -51,7 +51,7 @@ ENGINES = {
     "vibrojax.design.optimise": ["search_design"],
     "vibrojax.design.pareto": ["search_front"],
     "vibrojax.design.propagate": ["propagated"],
-    "vibrojax.design.rig_evaluator": ["follow_branches"],
+    "vibrojax.design.rig_evaluator": ["systems_with_slopes"],
 }
 
 

@@ -6,6 +6,7 @@ with C and K constant.
 """
 
 from abc import abstractmethod
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -180,6 +181,11 @@ class AbstractGauge(eqx.Module):
         """Return values by name, in SI units."""
 
 
+def _placed(stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
+    """Without place and side, so that programs are the same wherever stops are."""
+    return tuple(replace(stop, position=None, side=1) for stop in stops)
+
+
 class LinearEquations(AbstractEquations):
     """Modal equations of a body that is linear but for its stops.
 
@@ -188,8 +194,8 @@ class LinearEquations(AbstractEquations):
     Source: Gandhi and Vyas 2017, eqs. 36 and 37. Arrays may carry lanes as trailing axes.
     """
 
-    stops: tuple[Stop, ...]
-    """The stops, in the order of the rows of `stop_map`."""
+    stops: tuple[Stop, ...] = eqx.field(converter=_placed)
+    """The stops, in the order of the rows of `stop_map`, which has their places and sides."""
     angular_frequency: PerCoordinate
     """Natural angular frequencies w_i, rad/s."""
     damping_ratio: PerCoordinate
