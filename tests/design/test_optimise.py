@@ -170,12 +170,21 @@ def test_a_search_ends_when_its_designs_are_used_up():
     assert "max_rounds" in found.sentence
 
 
-def searching_threads():
-    return [t for t in threading.enumerate() if t.name.startswith("ThreadPool")]
+@pytest.fixture
+def threads():
+    """Function that says which threads of pools there are that were not there before the test."""
+    before = set(threading.enumerate())
+
+    def new():
+        return [
+            t for t in threading.enumerate() if t.name.startswith("ThreadPool") and t not in before
+        ]
+
+    return new
 
 
 @pytest.mark.parametrize(("batch", "tried"), [(1, 32), (2, 64), (4, 70)])
-def test_what_was_found_before_ctrl_c_is_returned(batch, tried):
+def test_what_was_found_before_ctrl_c_is_returned(batch, tried, threads):
     rigs = Interrupted({"rosenbrock": rosenbrock}, batch=batch)
     begin = time.monotonic()
     found = search_design(rigs, BOX, settings=OptimiseSettings(starts=3))
@@ -185,7 +194,7 @@ def test_what_was_found_before_ctrl_c_is_returned(batch, tried):
     assert found.evaluations == tried
     assert len(found.neighbours) == 0
     assert "Interrupted" in repr(found)
-    assert not searching_threads()
+    assert not threads()
     found.plot()
     found.to_xarray()
 
@@ -195,7 +204,7 @@ def test_ctrl_c_before_anything_is_known_stays_one():
         search_design(Interrupted({"bowl": bowl}, batch=0), BOX, settings=FEW)
 
 
-def test_what_an_evaluation_raises_ends_all_searches():
+def test_what_an_evaluation_raises_ends_all_searches(threads):
     class Broken(ClosedForm):
         def evaluate(self, places, *, slopes=True):
             if len(self.batches) == 3:
@@ -204,7 +213,7 @@ def test_what_an_evaluation_raises_ends_all_searches():
 
     with pytest.raises(ValueError, match="must return one number"):
         search_design(Broken({"bowl": bowl}), BOX, settings=FEW)
-    assert not searching_threads()
+    assert not threads()
 
 
 def test_dataset_file_and_picture(tmp_path):

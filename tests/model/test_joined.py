@@ -302,7 +302,7 @@ def test_three_bodies_are_what_their_matrices_say(drive):
     shapes = np.asarray(matrices.modes().shapes)
     one, two = joined.equations(), matrices.equations()
     assert [float(s.gap) for s in one.stops] == [float(s.gap) for s in two.stops]
-    assert one.stops == joined.stops
+    assert [s.law for s in one.stops] == [s.law for s in joined.stops]
     x, v = jnp.array([5e-3, 2e-3, 9e-3]), jnp.array([0.1, -0.2, 0.3])
     q, rate = (matrices.modal_coordinates(part) for part in (x, v))
     np.testing.assert_allclose(one.penetration(x), two.penetration(q), atol=1e-15)
