@@ -57,10 +57,9 @@ def statuses(store):
 
 
 @pytest.fixture(scope="session")
-def environment(tmp_path_factory):
-    """Environment of programs: they share what they have compiled, which makes restarts quick."""
+def environment():
+    """Environment of programs: they share what all have compiled, which makes restarts quick."""
     return os.environ | {
-        "JAX_COMPILATION_CACHE_DIR": str(tmp_path_factory.mktemp("compiled")),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
     }
