@@ -59,10 +59,7 @@ def statuses(store):
 @pytest.fixture(scope="session")
 def environment():
     """Environment of programs: they share what all have compiled, which makes restarts quick."""
-    return os.environ | {
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-    }
+    return os.environ | {"JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
 
 
 def start(store, environment, **more):

@@ -113,7 +113,7 @@ def _point_slopes(prepared, slopes, rigs, value, is_ratio, state, period) -> _Po
         by_value = jnp.zeros_like(value) + (way == names + n)
         return jax.jvp(run, (numbers, state, value), (by_number, by_state, by_value))[1]
 
-    # One loop for all of them: XLA would take three times as long for one of each kind.
+    # One loop for all of them: XLA takes twice as long for one of each kind.
     runs = -(-(names + n + 1) // TOGETHER)
     ways = jnp.arange(-(-(names + n + 1) // runs) * runs)
     ends, read = lax.map(jax.vmap(along), ways.reshape(runs, -1))

@@ -181,7 +181,7 @@ class AbstractGauge(eqx.Module):
         """Return values by name, in SI units."""
 
 
-def _placed(stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
+def _anywhere(stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
     """Without place and side, so that programs are the same wherever stops are."""
     return tuple(replace(stop, position=None, side=1) for stop in stops)
 
@@ -194,7 +194,7 @@ class LinearEquations(AbstractEquations):
     Source: Gandhi and Vyas 2017, eqs. 36 and 37. Arrays may carry lanes as trailing axes.
     """
 
-    stops: tuple[Stop, ...] = eqx.field(converter=_placed)
+    stops: tuple[Stop, ...] = eqx.field(converter=_anywhere)
     """The stops, in the order of the rows of `stop_map`, which has their places and sides."""
     angular_frequency: PerCoordinate
     """Natural angular frequencies w_i, rad/s."""
