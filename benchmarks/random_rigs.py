@@ -6,7 +6,8 @@ Taper 0 to 0.95, mass ratio 0 to 10, damping ratio 0 to 0.2, base motion 1e-6 to
 (logarithmic), one to three stops on both sides, each with a gap of 0 to 2 mm, a stiffness of 1 to
 1e7 N/m (logarithmic), a damping of 0 to 50 N s/m and a place of 0.05 to 1; 1 to 12 modes; frequency
 ratio 0.6 to 2. Every number of modes and stops is compiled once: `--modes` and `--stops` choose
-some of them, and `--only` goes through those of the rigs that have so many modes.
+some of them, and `--only` goes through those of the rigs that have so many modes. The file is
+written after each rig, and rigs that are in it already are not run again.
 """
 
 import argparse
@@ -15,6 +16,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -158,19 +160,21 @@ def main() -> None:
     rigs = random_rigs(given.rigs, given.seed, given.modes, given.stops)
     chosen = [k for k, rig in enumerate(rigs) if given.only is None or rig[0] in given.only]
     makers = {kind: maker(*kind) for kind in {rig[:2] for rig in rigs}}
-    rows = []
-    for k in sorted(chosen, key=lambda k: rigs[k][:2]):
+    file = None if given.json is None else Path(given.json)
+    rows = json.loads(file.read_text())["rigs"] if file is not None and file.exists() else []
+    done = {row["rig"] for row in rows}
+    for k in sorted(set(chosen) - done, key=lambda k: rigs[k][:2]):
         modes, stops, numbers = rigs[k]
         row = {"rig": k, "modes": modes, "stops": stops} | measure(makers[modes, stops], numbers)
         rows.append(row)
-        words = ("rig", "modes", "stops", "sweep", "branch", "points", "touching", "unrefined")
+        words = ("rig", "modes", "stops", "sweep", "branch", "points", "inexact", "unrefined")
         print(*(f"{name} {row[name]}" for name in words), flush=True)
         on = row.get("on_branch"), row.get("on_any")
         print("   ", *on, "of", row.get("compared"), row["sentence"], flush=True)
+        if file is not None:
+            record = {"seed": given.seed, "summary": summary(rows), "rigs": rows}
+            file.write_text(json.dumps(record, indent=1))
     print(json.dumps(summary(rows), indent=1))
-    if given.json:
-        with open(given.json, "w") as file:
-            json.dump({"seed": given.seed, "summary": summary(rows), "rigs": rows}, file, indent=1)
 
 
 if __name__ == "__main__":

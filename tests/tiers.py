@@ -209,7 +209,8 @@ SLOW = {
         "test_none_is_found_that_lies_too_far_or_the_other_way",
         "test_it_is_the_fold_of_the_branch_on_any_grid",
         "test_the_result_says_that_it_is_exact",
-        "test_a_jump_at_a_touch_is_bracketed",
+        "test_a_jump_close_behind_a_touch_is_exact_too",
+        "test_on_a_coarse_grid_they_are_those_of_a_fine_one",
     ),
     "test_gauge": (
         "test_extremes_do_not_depend_on_how_finely_it_is_measured",

@@ -39,12 +39,16 @@ def test_it_is_the_fold_of_the_branch_on_any_grid(beam, curve):
 def test_the_result_says_that_it_is_exact(curve):
     low, high = curve.jump_down_bracket
     assert low == high == curve.jump_down
-    assert repr(curve).count("(a fold, exact)") == 1
+    assert repr(curve).count("(a fold, exact)") == 2
 
 
-def test_a_jump_at_a_touch_is_bracketed(curve):
+def test_a_jump_close_behind_a_touch_is_exact_too(beam, curve):
+    branch = vj.continue_response(beam, frequency_ratio=vj.Range(*RANGE))
+    (touch,) = [point for point in branch.special_points if point.kind == "grazing"]
+    assert curve.jump_up == pytest.approx(min(branch.folds), rel=1e-9)
+    assert 1e-6 < touch.parameter - curve.jump_up < 1e-4
     low, high = curve.jump_up_bracket
-    assert 0 < high - low <= 1e-4
+    assert low == high
 
 
 def test_where_every_point_is_marched_to_so_are_jumps(beam, curve):
@@ -63,6 +67,17 @@ def test_lanes_do_not_depend_on_their_neighbours(rig, beam, curve):
     assert both.jump_down[2] == pytest.approx(curve.jump_down, rel=1e-10)
 
 
+def test_on_a_coarse_grid_they_are_those_of_a_fine_one(rig):
+    """In one step of it forwards the response rises more than backwards it jumps."""
+    gaps = np.array([3.5e-4, 4e-4])
+    coarse, fine = (
+        vj.frequency_sweep(lambda gap: rig(num_modes=2, gap=gap), frequency_ratio=ratios, gap=gaps)
+        for ratios in (np.array([1.0, 1.1, 1.15, 1.2, 1.3]), np.linspace(1.0, 1.3, 61))
+    )
+    np.testing.assert_allclose(coarse.jump_down, fine.jump_down, rtol=1e-9)
+    np.testing.assert_allclose(coarse.jump_up, fine.jump_up, rtol=1e-9)
+
+
 def test_none_is_found_that_lies_too_far_or_the_other_way(beam, curve):
     grid = np.arange(RANGE[0], 1.201, 0.02)
     plan = vj.SweepSettings(direction="forward").plan(beam, "frequency_ratio", grid)
@@ -72,6 +87,8 @@ def test_none_is_found_that_lies_too_far_or_the_other_way(beam, curve):
     first = float(prepared.first_frequency[0])
     ways = np.array([0.1, 0.005, -0.1]) * first
     start = np.zeros(3, int), np.tile(upper, (3, 1)), np.full(3, grid[-1] * first)
-    found = folds_ahead(prepared.march, *start, ways) / first
+    found, state = folds_ahead(prepared.march, *start, ways, np.zeros(3, bool))
+    found = found / first
+    assert np.isfinite(state).tolist() == [[True] * 4, [False] * 4, [False] * 4]
     assert found[0] == pytest.approx(curve.jump_down, rel=1e-9)
     assert np.isnan(found[1:]).all()

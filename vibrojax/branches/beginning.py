@@ -11,6 +11,8 @@ from vibrojax.stepping.contact_phases import ContactPhases
 
 WIDER = 1.05
 """How far gaps are opened, over what it takes to touch none."""
+MOST_OPENED = 500
+"""Points on the way back from there: with more, where motions chatter, a march is shorter."""
 TRIES = 6
 
 
@@ -39,6 +41,7 @@ def opened(walk: Walk, free: OnCurve, beyond: float) -> Steps:
     """
     widest = WIDER * beyond + 1e-12
     walk.low, walk.high = 0.0, 1.2 * widest
+    walk.max_points = min(walk.max_points, MOST_OPENED)
     start = yield from walk.search.solve(at_value(FREE, np.zeros(0), free.state, widest))
     if start is None:
         return None

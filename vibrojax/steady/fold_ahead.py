@@ -32,9 +32,15 @@ lax = jax.lax
 
 FIRST_STEP = 0.25
 """First step, of which 1 would be about all of the way on a straight branch."""
+NEXT_TO_TOUCH = 2e-7
+"""Most that it changes the frequency by beside a touch, over the frequency: a fold may be close."""
 LONGEST_STEP = 1.0
 ROUNDS = 6
 """Of Newton's method for a point."""
+SHRINKS = 0.25
+"""Factor by which every one of them has to bring the correction down, from 1 to begin with."""
+EASY = 3
+"""Rounds after which the next step is as long as the last: after fewer it is twice as long."""
 MOST = 150
 """The same for all points."""
 CLOSE = 1e-7
@@ -75,6 +81,8 @@ class _Search(NamedTuple):
     """Rate of the block coordinates there by arc length."""
     rate: Float[Array, " lanes"]
     """Rate of the frequency, over the way; none yet where it is above 1."""
+    times_along: Float[Array, "events lanes"]
+    """Rate of the times."""
     step: Float[Array, " lanes"]
     """Arc length of the point that is solved for."""
     beyond: Float[Array, " lanes"]
@@ -87,16 +95,27 @@ class _Search(NamedTuple):
     found: Bool[Array, " lanes"]
 
 
+class _Corrected(NamedTuple):
+    """A point after a step of Newton's method."""
+
+    point: _Point
+    error: Float[Array, " lanes"]
+    along: Float[Array, "states lanes"]
+    rate: Float[Array, " lanes"]
+    times_along: Float[Array, "events lanes"]
+    stable: Bool[Array, " lanes"]
+
+
 class _Branch:
     """Lanes on their branches, in units of the way and of a change of the motion."""
 
-    def __init__(self, lanes: FollowedLanes, change: Array, way: Array):
-        self.lanes, self.way = lanes, way
+    def __init__(self, lanes: FollowedLanes, change: Array, way: Array, first_step: Array):
+        self.lanes, self.way, self.first_step = lanes, way, first_step
         self.unit = change / lanes.energy.reshape(-1, *change.shape)
         """Of every block coordinate."""
 
-    def corrected(self, search: _Search) -> tuple[_Point, Array, Array, Array]:
-        """Take a step of Newton's method: motion, its error, the way on there, if it is stable."""
+    def corrected(self, search: _Search) -> _Corrected:
+        """Take a step of Newton's method, and find the way on there."""
         (blocks, times, w), n = search.now, len(self.unit)
         events = self.lanes.events
         passed, _, slopes = self.lanes.through(self.lanes.driven(w), blocks, times)
@@ -116,32 +135,44 @@ class _Branch:
         )
         solved = jnp.linalg.solve(jnp.moveaxis(whole, -1, 0), jnp.moveaxis(right, -1, 0))
         change, on = jnp.moveaxis(solved, (0, 1, 2), (2, 1, 0))
-        moved, dw = change[:-1] * self.unit, change[-1] * self.way
-        later = passed.late + apply_matrix(passed.delays, moved) + slopes.late * dw
-        later = jnp.where(events.stop >= 0, later, 0.0)
+        on = on / size_of(on)
+
+        def delayed(change: Array) -> Array:
+            moved, dw = change[:-1] * self.unit, change[-1] * self.way
+            later = apply_matrix(passed.delays, moved) + slopes.late * dw
+            return jnp.where(events.stop >= 0, later, 0.0)
+
+        later = jnp.where(events.stop >= 0, passed.late, 0.0) + delayed(change)
         error = jnp.maximum(size_of(change), jnp.max(jnp.abs(later), axis=0, initial=0.0))
-        point = _Point(blocks + moved.reshape(blocks.shape), times + later, w + dw)
-        return point, error, on / size_of(on), is_stable(matrix)
+        moved = (change[:-1] * self.unit).reshape(blocks.shape)
+        point = _Point(blocks + moved, times + later, w + change[-1] * self.way)
+        return _Corrected(point, error, on[:-1], on[-1], delayed(on), is_stable(matrix))
+
+    def is_ordered(self, times: Array) -> Array:
+        """Whether contacts change one after the other."""
+        used = self.lanes.events.stop >= 0
+        return jnp.all((jnp.diff(times, axis=0) > 0) | ~used[1:], axis=0)
 
     def tried(self, search: _Search, step: Array) -> _Search:
         """Begin to solve for the point a step further on."""
         blocks, times, w = search.last
         along = (search.along * self.unit * step).reshape(blocks.shape)
-        now = _Point(blocks + along, times, w + search.rate * self.way * step)
+        later = times + search.times_along * step
+        now = _Point(blocks + along, later, w + search.rate * self.way * step)
         return search._replace(now=now, step=step, rounds=jnp.zeros_like(search.rounds))
 
 
 def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
     """Go on with Newton's method, or to the next point of the branch where there is one."""
-    point, error, on, stable = branch.corrected(search)
-    rate, first = on[-1], search.rate > 1.0
-    turns = jnp.sum(on[:-1] * search.along, axis=0) + rate * search.rate
+    now = branch.corrected(search)
+    point, error, rate, first = now.point, now.error, now.rate, search.rate > 1.0
+    turns = jnp.sum(now.along * search.along, axis=0) + rate * search.rate
     solved = error <= CLOSE
-    good = solved & (first | (turns > 0.5))
+    good = solved & (first | (turns > 0.5)) & branch.is_ordered(point.times)
     rounds = search.rounds + 1
-    fails = ~good & (solved | (rounds >= ROUNDS) | ~(error < 1.0))
+    fails = ~good & (solved | (rounds >= ROUNDS) | ~(error < SHRINKS**search.rounds))
     at_fold, back = good & (jnp.abs(rate) <= TURNED), good & (rate < -TURNED)
-    lost = good & ~stable & (rate > NOT_YET)
+    lost = good & ~now.stable & (rate > NOT_YET)
     lost |= (point.w - start) / branch.way > 1.0
     takes = search.going & good & ~back
     beyond = jnp.where(
@@ -153,18 +184,20 @@ def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
         return jnp.where(takes, new, old)
 
     last = jax.tree.map(taken, point, search.last)
-    along, rate = taken(on[:-1], search.along), taken(rate, search.rate)
+    along, rate = taken(now.along, search.along), taken(rate, search.rate)
     # Along a parabola the rate falls off straight.
     between = jnp.isfinite(beyond)
     share = rate / jnp.where(between, rate - rate_beyond, 1.0)
     inside = jnp.clip(share, 0.05, 0.95) * jnp.where(between, beyond, 1.0)
-    longer = jnp.where(first, FIRST_STEP, jnp.minimum(2 * search.step, LONGEST_STEP))
+    longer = jnp.where(rounds <= EASY, jnp.minimum(2 * search.step, LONGEST_STEP), search.step)
+    longer = jnp.where(first, branch.first_step, longer)
     step = jnp.where(good, jnp.where(between, inside, longer), search.step / 2)
     going = search._replace(now=point, rounds=rounds)
     new = search._replace(
         last=last,
         along=along,
         rate=rate,
+        times_along=taken(now.times_along, search.times_along),
         beyond=beyond,
         rate_beyond=rate_beyond,
         going=search.going & ~(good & (lost | at_fold)),
@@ -175,7 +208,12 @@ def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
 
 
 @compiled(lightly=True)
-def fold_ahead(march: LaneTable, tracks: LaneTable, way: Float[AnyArray, " lanes"]) -> LaneTable:
+def fold_ahead(
+    march: LaneTable,
+    tracks: LaneTable,
+    way: Float[AnyArray, " lanes"],
+    first_step: Float[AnyArray, " lanes"],
+) -> LaneTable:
     """Look for the folds ahead of motions that are known exactly, in tables of lanes.
 
     `way` (rad/s, signed) says in which direction and no further than how far. Returns `FoldAhead`.
@@ -184,13 +222,22 @@ def fold_ahead(march: LaneTable, tracks: LaneTable, way: Float[AnyArray, " lanes
     lanes, way, w = FollowedLanes(own, track.events), jnp.asarray(way), track.frequency[0]
     # In units of their own change along the way, near a fold motions count as the frequency does.
     change, zero = size_of(track.state_slope[0]) * jnp.abs(way), jnp.zeros_like(w)
-    branch = _Branch(lanes, jnp.where(change > 0, change, 1.0), way)
+    branch = _Branch(lanes, jnp.where(change > 0, change, 1.0), way, jnp.asarray(first_step))
     begin = _Point(lanes.begin(lanes.at(own.force_at(w)), track.state[0]), track.times[0], w)
-    nothing = jnp.zeros((len(branch.unit), *w.shape))
     none, exact = jnp.zeros(w.shape, jnp.int32), track.known > 0
     # The way on from where it begins is found by a step of no length.
     search = _Search(
-        begin, nothing, zero + 2, zero, zero + jnp.inf, zero, begin, none, exact, exact & False
+        last=begin,
+        along=jnp.zeros((len(branch.unit), *w.shape)),
+        rate=zero + 2,
+        times_along=jnp.zeros_like(begin.times),
+        step=zero,
+        beyond=zero + jnp.inf,
+        rate_beyond=zero,
+        now=begin,
+        rounds=none,
+        going=exact,
+        found=exact & False,
     )
     search, _ = lax.while_loop(
         lambda carry: jnp.any(carry[0].going) & (carry[1] < MOST),
@@ -208,13 +255,17 @@ def folds_ahead(
     state: Float[np.ndarray, "lanes states"],
     angular_frequency: Float[np.ndarray, " lanes"],
     way: Float[np.ndarray, " lanes"],
-) -> Float[np.ndarray, " lanes"]:
+    beside_touch: Bool[np.ndarray, " lanes"],
+) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, "lanes states"]]:
     """Return where the branches of settled motions of one drive period end in a fold, rad/s.
 
-    NaN where none is found on the way (rad/s, signed) that keeps to the contacts of the motion.
-    `rig` says which of the rigs of `march`, its trailing axis, each lane has.
+    Also their states there. NaN where none is found on the way (rad/s, signed) that keeps to the
+    contacts of the motion. `rig` says which of the rigs of `march`, its trailing axis, each lane
+    has, `beside_touch` whether its motion all but grazes a stop.
     """
-    rigs, found = table_of(march, xp=np), np.full(len(rig), np.nan)
+    close = NEXT_TO_TOUCH * angular_frequency / np.abs(way)
+    first_step = np.where(beside_touch, np.minimum(close, FIRST_STEP), FIRST_STEP)
+    rigs, found, states = table_of(march, xp=np), np.full(len(rig), np.nan), state + np.nan
     weight = np.asarray(march.energy_weight()).T
     left = np.flatnonzero(can_follow(rigs.columns(), len(weight))[rig])
     each = len(left), rigs.numbers.shape[1]
@@ -236,7 +287,7 @@ def folds_ahead(
         solved, _ = advance(system, tracks, targets, pace, np.asarray(0))
         numbers = np.asarray(solved.numbers)[: len(lanes), : tracks.numbers.shape[1]]
         tracks.numbers[:] = numbers
-        ahead = fold_ahead(system, tracks, way[lanes]).columns()
+        ahead = fold_ahead(system, tracks, way[lanes], first_step[lanes]).columns()
         good = (track.known > 0) & (ahead.found > 0)
         # What is marched has to be finite.
         at, w = (
@@ -247,7 +298,8 @@ def folds_ahead(
         track.times[:, 0] = ahead.times
         good &= keeps_to_contacts(track, measures.events, at * unit, (end - at) * unit)
         found[own] = np.where(good, w, np.nan)[: len(own)]
-    return found
+        states[own] = np.where(good[:, None], at, np.nan)[: len(own)]
+    return found, states
 
 
 def compile_fold_ahead(march: AbstractMarch, lanes: int) -> None:
@@ -259,4 +311,4 @@ def compile_fold_ahead(march: AbstractMarch, lanes: int) -> None:
         width = widths_for(lanes, table_of(march, lanes=1).numbers.shape[1])[0]
         states = jax.eval_shape(lambda march: march.energy_weight(), march).shape[0]
         own, tracks = table_of(march, lanes=width), no_tracks(width, states)
-        fold_ahead.ahead(own, tracks, np.ones(width))
+        fold_ahead.ahead(own, tracks, np.ones(width), np.ones(width))

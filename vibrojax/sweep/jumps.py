@@ -12,26 +12,33 @@ class Jumps:
     """The jump of each direction: between which points, which way, in what bracket.
 
     Arrays have the shape (..., directions). `before` is the index (in ascending frequency) of the
-    last point ahead of the jump, -1 where there is none; a bracket is (before, after).
+    last point ahead of the jump, -1 where there is none; a bracket is (before, after). `doubtful`
+    are those where the other direction changes more: it may be the one that jumps, the other way.
     """
 
-    def __init__(self, before: np.ndarray, after: np.ndarray, rises: np.ndarray):
-        self.before, self.after, self.rises = before, after, rises
+    def __init__(
+        self, before: np.ndarray, after: np.ndarray, rises: np.ndarray, doubtful: np.ndarray
+    ):
+        self.before, self.after, self.rises, self.doubtful = before, after, rises, doubtful
         self.exists = before >= 0
         self.bracket = np.full((*before.shape, 2), np.nan)
+        self.state = np.empty((*before.shape, 0))
+        """Next to the jump, before it."""
 
     def any(self) -> bool:
         """Whether any lane jumps."""
         return bool(self.exists.any())
 
-    def fill_brackets(self, frequencies: np.ndarray) -> None:
-        """Bracket every jump by its two grid points."""
-        self.set_brackets(frequencies[self.before], frequencies[self.after])
-
-    def set_brackets(self, before: np.ndarray, after: np.ndarray) -> None:
-        """Give every existing jump a bracket."""
-        both = np.stack([before, after], axis=-1)
+    def begin(self, frequencies: np.ndarray, states: np.ndarray) -> None:
+        """Bracket every jump by its two grid points; states are (..., directions, frequencies)."""
+        both = np.stack([frequencies[self.before], frequencies[self.after]], axis=-1)
         self.bracket = np.where(self.exists[..., None], both, np.nan)
+        self.state = np.take_along_axis(states, self.before[..., None, None], axis=-2)[..., 0, :]
+
+    def drop(self, there_is_none: np.ndarray) -> None:
+        """Forget jumps that are none."""
+        self.exists = self.exists & ~there_is_none
+        self.bracket = np.where(self.exists[..., None], self.bracket, np.nan)
 
     def up_and_down(self) -> tuple[np.ndarray, np.ndarray]:
         """Return brackets (..., 2) of the jump up and the jump down, low end first."""
@@ -50,11 +57,12 @@ def find_jumps(amplitude: np.ndarray, settled: np.ndarray, directions: tuple[str
     """Find the jump of each direction in amplitudes of shape (..., directions, frequencies).
 
     A jump leaves a branch that the other direction is not on and lands where the other direction
-    is: the largest such change. With one direction alone, the largest change that is out of all
-    proportion to those beside it and to most.
+    is: the largest such change, before those that are doubtful. With one direction alone, the
+    largest change that is out of all proportion to those beside it and to most.
     """
     *lanes, n = amplitude.shape
-    before, after, rises = np.full(lanes, -1), np.full(lanes, -1), np.zeros(lanes, bool)
+    before, after = np.full((2, *lanes), -1)
+    rises, doubtful = np.zeros((2, *lanes), bool)
     for lane in np.ndindex(*lanes) if n > 1 else ():
         *outer, k = lane
         own = amplitude[lane]
@@ -70,15 +78,18 @@ def find_jumps(amplitude: np.ndarray, settled: np.ndarray, directions: tuple[str
             larger = least * np.maximum(np.maximum(own, other), 1e-300)
             apart = np.abs(own - other) > larger
             jumps = apart[ahead] & ~apart[behind] & (size > larger[ahead])
-            jumps &= ~(size < np.abs(other[behind] - other[ahead]))  # else the other one jumps
+            doubts = size < np.abs(other[behind] - other[ahead])
+            if np.any(jumps & ~doubts):
+                jumps &= ~doubts
         else:
             beside = np.pad(size, 1)
             usual = np.maximum(2 * np.median(size), np.fmax(beside[:-2], beside[2:]))
             least = np.where(settled[lane], DISTINCT, MOVING)
-            larger = np.maximum(own[ahead], own[behind])
+            larger, doubts = np.maximum(own[ahead], own[behind]), np.zeros(n - 1, bool)
             jumps = (size > STEEPER * usual) & (size > np.maximum(*least[[ahead, behind]]) * larger)
         size = np.where(jumps & np.isfinite(size), size, -1.0)
         if size.max() > 0:
             at = int(np.argmax(size))
             before[lane], after[lane], rises[lane] = ahead[at], behind[at], change[at] > 0
-    return Jumps(before, after, rises)
+            doubtful[lane] = doubts[at]
+    return Jumps(before, after, rises, doubtful)
