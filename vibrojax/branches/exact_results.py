@@ -14,7 +14,7 @@ from vibrojax.branches.refining import Special, Stretch
 from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
 from vibrojax.branches.walking import Walk
 from vibrojax.steady.paths import AbstractPath
-from vibrojax.sweep.swept_lanes import ratios_of
+from vibrojax.stepping.measures import ratios_of
 
 
 def columns_of_motions(

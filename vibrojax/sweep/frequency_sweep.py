@@ -17,14 +17,9 @@ from vibrojax.ensemble.progress import progress_bar
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.prepared_rigs import kinds_of_rigs, prepare, prepared_kinds, rigs_of
 from vibrojax.sweep.frequency_response import FrequencyResponse
+from vibrojax.sweep.plan import SweepPlan, Swept
 from vibrojax.sweep.settings import SweepSettings
-from vibrojax.sweep.swept_lanes import (
-    SweepPlan,
-    Swept,
-    compile_ahead,
-    numbers_of_jumps,
-    sweep_rigs,
-)
+from vibrojax.sweep.swept_lanes import compile_ahead, numbers_of_jumps, sweep_rigs
 
 
 @validated

@@ -11,7 +11,7 @@ from vibrojax.ensemble.frequencies import DIRECTIONS, check_drive
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.choice import choose_stepper
 from vibrojax.stepping.stepper import AbstractStepper, check_settings
-from vibrojax.sweep.swept_lanes import SweepPlan
+from vibrojax.sweep.plan import SweepPlan
 
 
 @validated
