@@ -93,6 +93,7 @@ def test_what_cannot_be_compared_is_refused():
         (dict(measured=[]), "measured must be a MeasuredHistory"),
         (dict(measured=silent), "has no contact_force"),
         (dict(laws=["hertz"]), "laws must be at least two"),
+        (dict(laws=3), "laws must be names of kelvin_voigt.*got 3"),
         (dict(laws=["hertz", "herz"]), "there is no law 'herz'.*hertz"),
         (dict(laws=dict(hertz=None, mine=3)), "mine must be a function that makes a law"),
         (dict(laws=dict(hertz=None, mine=(vj.Hertz, dict(mass=1.0)))), "Rename one of them"),

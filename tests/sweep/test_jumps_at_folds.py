@@ -78,6 +78,39 @@ def test_on_a_coarse_grid_they_are_those_of_a_fine_one(rig):
     np.testing.assert_allclose(coarse.jump_up, fine.jump_up, rtol=1e-9)
 
 
+@pytest.mark.parametrize("direction", ["forward", "backward"])
+def test_one_direction_alone_finds_its_own(rig, direction):
+    """On the way up the resonance is steep, backwards the response rises as fast as it jumps."""
+    ratios, gaps = np.arange(0.9, 1.36, 0.05), np.array([3.5e-4, 4e-4])
+    both, alone = (
+        vj.frequency_sweep(
+            lambda gap: rig(num_modes=2, gap=gap),
+            frequency_ratio=ratios,
+            gap=gaps,
+            settings=vj.SweepSettings(direction=way),
+        )
+        for way in ("both", direction)
+    )
+    found, none = alone.jump_down, alone.jump_up
+    if direction == "backward":
+        found, none = none, found
+    np.testing.assert_allclose(
+        found, both.jump_down if direction == "forward" else both.jump_up, rtol=1e-9
+    )
+    assert np.isnan(none).all()
+
+
+@pytest.mark.parametrize("settle", ["follow", "march"])
+def test_what_is_only_steep_is_none(rig, settle):
+    linear = rig(num_modes=2, gap=0.1, damping_ratio=1e-3)
+    settings = vj.SweepSettings(direction="forward", settle=settle)
+    found = vj.frequency_sweep(
+        linear, frequency_ratio=[0.9, 0.95, 0.98, 1.001, 1.01, 1.1], settings=settings
+    )
+    assert found.peak_amplitude_ratio > 20 * found.amplitude_ratio[0, 0]
+    assert np.isnan([found.jump_up, found.jump_down]).all()
+
+
 def test_none_is_found_that_lies_too_far_or_the_other_way(beam, curve):
     grid = np.arange(RANGE[0], 1.201, 0.02)
     plan = vj.SweepSettings(direction="forward").plan(beam, "frequency_ratio", grid)

@@ -107,7 +107,13 @@ def candidates_of(given: Any, impact: Impact) -> dict[str, Candidate]:
     if given is None:
         return known
     if not isinstance(given, Mapping):
-        given = dict.fromkeys([given] if isinstance(given, str) else given)
+        try:
+            given = dict.fromkeys([given] if isinstance(given, str) else given)
+        except TypeError:
+            raise ValueError(
+                f"laws must be names of {', '.join(known)}, or a dict from names to laws, got "
+                f"{in_short(given)}."
+            ) from None
     found = {}
     for name, one in given.items():
         if one is None:

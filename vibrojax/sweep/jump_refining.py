@@ -15,6 +15,11 @@ from vibrojax.sweep.plan import SweepPlan, Swept, pool_of, variables_of
 
 EXTENSIONS = 4
 """Grid steps that a jump is followed beyond the one in which the sweep left its branch."""
+SHARE = 0.05
+"""Of the change over a grid step, which a jump makes up at the least."""
+CLOSER = 3
+"""Halvings more where a jump is doubtful: what only is steep is less so over a smaller step."""
+
 HALVE, FIRST, RETRY, EXPAND = range(4)
 
 
@@ -36,6 +41,9 @@ class _Leaving(NamedTuple):
     """Where to try first, just beyond a touch or fold; NaN for no such place."""
     fold: Float[np.ndarray, " jumps"]
     """The fold; NaN where none is known."""
+    free: Bool[np.ndarray, " jumps"]
+    """Whether the motion has no contact."""
+    doubtful: Bool[np.ndarray, " jumps"]
 
 
 class _Bisection:
@@ -51,7 +59,7 @@ class _Bisection:
     ):
         self.low, self.high = leaving.bracket[:, 0].copy(), leaving.bracket[:, 1].copy()
         self.start, self.end, self.settled_before = leaving.amplitude.copy(), end, settled_before
-        self.across = end.copy()  # at the high end
+        self.across, self.whole = end.copy(), np.abs(end - self.start)  # at the high end; of all
         self.state, self.unit, self.reference = leaving.state, leaving.unit, leaving.reference
         self.width, self.last = width, self.low + EXTENSIONS * (self.high - self.low)
         self.step, self.first, self.fold = width.copy(), leaving.first, leaving.fold
@@ -59,8 +67,8 @@ class _Bisection:
 
     def jumps(self) -> np.ndarray:
         """Which lanes jump across what is left of their bracket, and do not pass it smoothly."""
-        larger = np.maximum(self.start, self.across)
-        return ~(np.abs(self.across - self.start) <= DISTINCT * larger)
+        least = np.maximum(DISTINCT * np.maximum(self.start, self.across), SHARE * self.whole)
+        return ~(np.abs(self.across - self.start) <= least)
 
     def trial(self, lanes: np.ndarray) -> np.ndarray:
         """Where lanes are tried next, in the unit of the bracket."""
@@ -108,6 +116,8 @@ def refine(
     """
     jumps, curves = swept.jumps, swept.curves
     rig, way = np.nonzero(jumps.exists)
+    if not len(rig):
+        return
     at = rig, way, jumps.before[rig, way]
     leaving = _Leaving(
         rig=rig,
@@ -119,18 +129,19 @@ def refine(
         amplitude=curves["amplitude_ratio"][at],
         first=np.full(len(rig), np.nan),
         fold=np.full(len(rig), np.nan),
+        free=curves["contact_force"][at] == 0,
+        doubtful=jumps.doubtful[rig, way],
     )
-    doubtful, span = jumps.doubtful[rig, way], np.diff(leaving.bracket)[:, 0]
+    doubtful, span = leaving.doubtful, np.diff(leaving.bracket)[:, 0]
     scale = 1.0 if plan.axis == "frequency_ratio" else swept.natural_frequency[rig]
     parts = np.abs(span) / scale / width
     halvings = np.ceil(np.log2(np.maximum(parts, 1.0))).astype(int)
-    narrow, left = span / 2.0**halvings, halvings > 0
+    narrow, left = span / 2.0 ** (halvings + CLOSER * doubtful), halvings > 0
     smooth, settled = doubtful & ~left, curves["period"][at] > 0
     if plan.settle == "follow":
         follows = np.flatnonzero(left & (curves["period"][at] == 1))
-        free = curves["contact_force"][at] == 0
         ahead = np.where(doubtful, 1, EXTENSIONS) * span * leaving.unit
-        left[_solve(prepared, leaving, follows, free, ahead, narrow)] = False
+        left[_solve(prepared, leaving, follows, ahead, narrow)] = False
     k = np.flatnonzero(left)
     if len(k):
         end = curves["amplitude_ratio"][rig, way, jumps.after[rig, way]]
@@ -152,16 +163,16 @@ def _solve(
     prepared: Prepared,
     leaving: _Leaving,
     follows: Int[np.ndarray, " some"],
-    free: Bool[np.ndarray, " jumps"],
     ahead: Float[np.ndarray, " jumps"],
     narrow: Float[np.ndarray, " jumps"],
 ) -> Int[np.ndarray, " solved"]:
     """Solve for the folds at which some motions leave their branches; return who leaves there.
 
-    A motion without contact (`free`) leaves where it touches, or at a fold close behind: from there
-    it may well go to a motion next to it, which jumps later, so that it has to be tried.
+    A motion without contact leaves where it touches, or at a fold close behind: from there it may
+    well go to a motion next to it, which jumps later, so that it has to be tried.
     """
     march, begin, state = prepared.march, leaving.bracket[:, 0] * leaving.unit, leaving.state.copy()
+    free = leaving.free
     k = follows[free[follows]]
     touch = touches_ahead(march, leaving.rig[k], begin[k], ahead[k])
     there = np.isfinite(touch.angular_frequency)
@@ -177,7 +188,7 @@ def _solve(
     place = fold / leaving.unit[k]
     leaving.fold[k], leaving.state[k] = place, state[solved]
     leaving.first[k] = place + narrow[k]
-    sure = ~free[k]
+    sure = ~(free | leaving.doubtful)[k]
     leaving.bracket[k[sure]] = place[sure, None]
     return k[sure]
 

@@ -13,7 +13,8 @@ class Jumps:
 
     Arrays have the shape (..., directions). `before` is the index (in ascending frequency) of the
     last point ahead of the jump, -1 where there is none; a bracket is (before, after). `doubtful`
-    are those where the other direction changes more: it may be the one that jumps, the other way.
+    are those that have to be looked at: the other direction may be the one that jumps, the other
+    way, or the response may only be steep.
     """
 
     def __init__(
@@ -40,6 +41,19 @@ class Jumps:
         self.exists = self.exists & ~there_is_none
         self.bracket = np.where(self.exists[..., None], self.bracket, np.nan)
 
+    @property
+    def dropped(self) -> np.ndarray:
+        """Which lanes had a jump that is none."""
+        return (self.before >= 0) & ~self.exists
+
+    def take(self, others: "Jumps") -> None:
+        """Take others in the place of those that were dropped."""
+        here = self.dropped
+        for name in ("before", "after", "rises", "doubtful", "exists", "bracket", "state"):
+            new, old = getattr(others, name), getattr(self, name)
+            chosen = here.reshape(here.shape + (1,) * (new.ndim - here.ndim))
+            setattr(self, name, np.where(chosen, new, old))
+
     def up_and_down(self) -> tuple[np.ndarray, np.ndarray]:
         """Return brackets (..., 2) of the jump up and the jump down, low end first."""
         ordered = np.sort(self.bracket, axis=-1)
@@ -53,12 +67,15 @@ class Jumps:
         return first(self.exists & self.rises), first(self.exists & ~self.rises)
 
 
-def find_jumps(amplitude: np.ndarray, settled: np.ndarray, directions: tuple[str, ...]) -> Jumps:
+def find_jumps(
+    amplitude: np.ndarray, settled: np.ndarray, allowed: np.ndarray, directions: tuple[str, ...]
+) -> Jumps:
     """Find the jump of each direction in amplitudes of shape (..., directions, frequencies).
 
     A jump leaves a branch that the other direction is not on and lands where the other direction
-    is: the largest such change, before those that are doubtful. With one direction alone, the
-    largest change that is out of all proportion to those beside it and to most.
+    is: the largest such change, before those that are doubtful. With one direction alone, it is
+    that which stands out most from those on both sides: doubtful, unless it is out of all
+    proportion to them and to most. Doubtful ones are looked for ahead of `allowed` points.
     """
     *lanes, n = amplitude.shape
     before, after = np.full((2, *lanes), -1)
@@ -78,18 +95,23 @@ def find_jumps(amplitude: np.ndarray, settled: np.ndarray, directions: tuple[str
             larger = least * np.maximum(np.maximum(own, other), 1e-300)
             apart = np.abs(own - other) > larger
             jumps = apart[ahead] & ~apart[behind] & (size > larger[ahead])
+            stands_out = size
             doubts = size < np.abs(other[behind] - other[ahead])
-            if np.any(jumps & ~doubts):
-                jumps &= ~doubts
         else:
-            beside = np.pad(size, 1)
-            usual = np.maximum(2 * np.median(size), np.fmax(beside[:-2], beside[2:]))
+            padded = np.pad(change, 1, constant_values=np.nan)
+            beside = padded[:-2], padded[2:]
+            usual = np.maximum(2 * np.median(size), np.fmax(*np.abs(beside)))
             least = np.where(settled[lane], DISTINCT, MOVING)
-            larger, doubts = np.maximum(own[ahead], own[behind]), np.zeros(n - 1, bool)
-            jumps = (size > STEEPER * usual) & (size > np.maximum(*least[[ahead, behind]]) * larger)
-        size = np.where(jumps & np.isfinite(size), size, -1.0)
-        if size.max() > 0:
-            at = int(np.argmax(size))
+            larger = np.maximum(own[ahead], own[behind])
+            doubts = ~(size > STEEPER * usual)
+            jumps = size > np.maximum(*least[[ahead, behind]]) * larger
+            out = np.fmax(np.fmin(*beside) - change, change - np.fmax(*beside))
+            stands_out = np.where(np.isnan(out), size, out)
+        jumps &= np.isfinite(change) & (allowed[lane][behind] | ~doubts)
+        if np.any(jumps & ~doubts):
+            jumps &= ~doubts
+        if jumps.any():
+            at = int(np.argmax(np.where(jumps, stands_out, -np.inf)))
             before[lane], after[lane], rises[lane] = ahead[at], behind[at], change[at] > 0
             doubtful[lane] = doubts[at]
     return Jumps(before, after, rises, doubtful)

@@ -16,6 +16,9 @@ from vibrojax.sweep.jump_refining import refine
 from vibrojax.sweep.jumps import find_jumps
 from vibrojax.sweep.plan import SweepPlan, Swept, pool_of, variables_of
 
+FURTHER = 2
+"""Times that another jump is looked for where a doubtful one was none."""
+
 
 class _Grid:
     """Feed of lanes that go through the grid, upwards or downwards."""
@@ -95,13 +98,24 @@ def sweep_rigs(
     shape = (count, ways, len(plan.grid))
     curves = {name: values.reshape(shape) for name, values in feed.curves.items()}
     settled = curves["status"] == Status.settled.value
-    found = find_jumps(curves["amplitude_ratio"], settled, plan.directions)
+    # What was followed has not jumped; both directions tell by each other.
+    allowed = np.ones(shape, bool) if ways == 2 else curves["periods_marched"] > 0
+    given = curves["amplitude_ratio"], settled, allowed, plan.directions
+    found = find_jumps(*given)
     swept = Swept(curves, feed.states.reshape(*shape, states), found, first / (2 * np.pi))
     found.begin(plan.grid, swept.states)
     if plan.refine_jumps is None:
         found.drop(found.doubtful)
-    elif found.any():
-        refine(plan, plan.refine_jumps, prepared, swept, unit)
+        return swept
+    refine(plan, plan.refine_jumps, prepared, swept, unit)
+    for _ in range(FURTHER):
+        lanes = np.nonzero(found.dropped)
+        allowed[(*lanes, found.after[lanes])] = False
+        others = find_jumps(*given)
+        others.begin(plan.grid, swept.states)
+        others.drop(~found.dropped)
+        refine(plan, plan.refine_jumps, prepared, swept._replace(jumps=others), unit)
+        found.take(others)
     return swept
 
 
