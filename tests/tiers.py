@@ -211,6 +211,8 @@ SLOW = {
         "test_the_result_says_that_it_is_exact",
         "test_a_jump_close_behind_a_touch_is_exact_too",
         "test_on_a_coarse_grid_they_are_those_of_a_fine_one",
+        "test_one_direction_alone_finds_its_own",
+        "test_what_is_only_steep_is_none",
     ),
     "test_gauge": (
         "test_extremes_do_not_depend_on_how_finely_it_is_measured",

@@ -1,5 +1,6 @@
 """Walks along exact motions: through every change of contact, the same from wherever they begin."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import scipy.linalg
 
 import vibrojax as vj
 from vibrojax.branches import contacts, walking
+from vibrojax.branches.comparing import COMPARED
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import OnCurve, Seen
 from vibrojax.branches.walking import Walk
@@ -380,3 +382,8 @@ def test_pairs_come_and_go():
     assert contacts.same(fewer, left, known, times, 1e-4)
     assert not contacts.same(fewer, left + 1e-5, known, times, 1e-6)
     assert contacts.new_pairs(known, times, more._replace(first_phase=1), met) is None
+    lost = {name: np.array(getattr(sweep, name)) for name in (*COMPARED, "period")}
+    for values in lost.values():
+        values[:, 1] = 0 if values.dtype.kind == "i" else np.nan
+    found = branch.compare(dataclasses.replace(sweep, **lost))["on_branch"].values
+    assert (found == [1, -1, 1]).all()

@@ -29,7 +29,7 @@ def relative_difference(
     differences = []
     for name in COMPARED:
         own = motions[name]
-        size = np.maximum(np.abs(own), np.max(np.abs(own), initial=0.0) * 1e-3)
+        size = np.maximum(np.abs(own), np.nanmax(np.abs(own), initial=0.0) * 1e-3)
         differences.append(np.abs(passages[name].values - own) / np.where(size, size, 1.0))
     return np.asarray(np.maximum.reduce(differences))
 
