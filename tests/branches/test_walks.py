@@ -344,6 +344,11 @@ def test_a_motion_that_touches_from_the_start():
     assert branch.contacts_per_period.min() > 0
     sweep = vj.frequency_sweep(rig, frequency_ratio=[0.7, 0.75, 0.9], progress=False)
     assert (branch.compare(sweep)["on_branch"].values == 1).all()
+    lost = {name: np.array(getattr(sweep, name)) for name in (*COMPARED, "period")}
+    for values in lost.values():
+        values[:, 1] = 0 if values.dtype.kind == "i" else np.nan
+    found = branch.compare(dataclasses.replace(sweep, **lost))["on_branch"].values
+    assert (found == [1, -1, 1]).all()
 
 
 def test_comparing_refuses():
@@ -382,8 +387,3 @@ def test_pairs_come_and_go():
     assert contacts.same(fewer, left, known, times, 1e-4)
     assert not contacts.same(fewer, left + 1e-5, known, times, 1e-6)
     assert contacts.new_pairs(known, times, more._replace(first_phase=1), met) is None
-    lost = {name: np.array(getattr(sweep, name)) for name in (*COMPARED, "period")}
-    for values in lost.values():
-        values[:, 1] = 0 if values.dtype.kind == "i" else np.nan
-    found = branch.compare(dataclasses.replace(sweep, **lost))["on_branch"].values
-    assert (found == [1, -1, 1]).all()
