@@ -18,7 +18,7 @@ from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 lax = jax.lax
 
 PARTS = 64
-"""Of the way, at the ends of which the reach is looked at: a touch, and its end, lie in two."""
+"""Parts of the way: a stop that is reached within one of them only is not seen."""
 HALVINGS = 50
 BEYOND = 3e-8
 """How far beyond a touch motions are looked at, over the frequency."""

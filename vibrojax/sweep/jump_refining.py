@@ -21,6 +21,7 @@ CLOSER = 3
 """Halvings more where a jump is doubtful: what only is steep is less so over a smaller step."""
 
 HALVE, FIRST, RETRY, EXPAND = range(4)
+"""What is tried next; a lane that stays on its branch in the last two is beyond its bracket."""
 
 
 class _Leaving(NamedTuple):
@@ -68,7 +69,7 @@ class _Bisection:
     def jumps(self) -> np.ndarray:
         """Which lanes jump across what is left of their bracket, and do not pass it smoothly."""
         least = np.maximum(DISTINCT * np.maximum(self.start, self.across), SHARE * self.whole)
-        return ~(np.abs(self.across - self.start) <= least)
+        return np.abs(self.across - self.start) > least
 
     def trial(self, lanes: np.ndarray) -> np.ndarray:
         """Where lanes are tried next, in the unit of the bracket."""
