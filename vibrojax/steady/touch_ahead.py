@@ -49,25 +49,23 @@ def touch_ahead(
         wave = jnp.abs(own.force_at(w).readout[0, :stops])
         return jnp.any(wave + phases.readout_rest[0, :stops] > 0, axis=0)
 
-    def look(k: Array, low: Array) -> Array:
-        free = ~reaches(start + way * (k + 1) / PARTS)
-        return jnp.where(free & (low == k), k + 1, low)
+    def closer(k: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Go from part to part until a stop is reached, then halve that part."""
+        low, high = ends
+        halves = k >= PARTS
+        share = jnp.where(halves, (low + high) / 2, (k + 1) / PARTS)
+        there, live = reaches(start + way * share), halves | jnp.isinf(high)
+        return jnp.where(live & ~there, share, low), jnp.where(live & there, share, high)
 
-    low = lax.fori_loop(0, PARTS, look, jnp.zeros(start.shape))
-
-    def halve(_: Array, both: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = both
-        middle = (low + high) / 2
-        there = reaches(start + way * middle)
-        return jnp.where(there, low, middle), jnp.where(there, middle, high)
-
-    _, share = lax.fori_loop(0, HALVINGS, halve, (low / PARTS, (low + 1) / PARTS))
+    none = jnp.zeros(start.shape)
+    _, share = lax.fori_loop(0, PARTS + HALVINGS, closer, (none, none + jnp.inf))
     found = start + way * share
     beyond = found * (1 + BEYOND * jnp.sign(way))
     force = own.force_at(beyond)
     state = apply_matrix(phases.to_state[0], phases.rest[0] + force.blocks[0].imag)
     amplitude = jnp.abs(force.readout[0, 3 * stops])
-    return table_of(TouchAhead(jnp.where(low < PARTS, found, jnp.nan), beyond, state, amplitude))
+    found = jnp.where(jnp.isfinite(share), found, jnp.nan)
+    return table_of(TouchAhead(found, beyond, state, amplitude))
 
 
 def touches_ahead(
