@@ -162,6 +162,8 @@ def test_resampled_dataset(small_branch):
         picked(again, "amplitude_ratio", crossing), small_branch.amplitude_ratio[few], rtol=1e-8
     )
     assert np.isnan(again.amplitude_ratio.values[3:]).all()
+    beside = small_branch.resample(small_branch.values[[0, -1]] * (1 + np.array([-5e-16, 5e-16])))
+    assert np.isfinite(beside.amplitude_ratio[:, 0]).all()  # round-off at the ends
     for wrong in ([], [np.nan], [[1.0]]):
         with pytest.raises(ValueError, match=r"^values must be a non-empty list of finite"):
             small_branch.resample(wrong)

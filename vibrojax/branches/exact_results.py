@@ -93,14 +93,18 @@ def between(walk: Walk, first: int, value: float) -> Steps:
     a, b = walk.points[first], walk.points[first + 1]
     touch = walk.touch_in(first)
     motion = None
-    nearer = a if abs(value - a.parameter) < abs(value - b.parameter) else b
-    ask = walk.search.pinned(nearer, value)
+    ends = (a, b) if abs(value - a.parameter) < abs(value - b.parameter) else (b, a)
     if walk.is_leap(first):
+        ask = walk.search.pinned(ends[0], value)
         motion = yield from walk.search.near(ask.state, value, ask.contacts.section)
     elif touch is None:
-        motion = yield from walk.search.solve(ask)
-        if motion is not None and not _is_within(walk, a, b, motion):
-            motion = None
+        # Where two stops change the order in which they are left, one end alone may lead there.
+        for end in ends if a.contacts != b.contacts else ends[:1]:
+            motion = yield from walk.search.solve(walk.search.pinned(end, value))
+            if motion is not None and not _is_within(walk, a, b, motion):
+                motion = None
+            if motion is not None:
+                break
         if motion is None:
             motion = yield from _by_halving(walk, first, touch, value)
     else:

@@ -14,6 +14,8 @@ from vibrojax.steady.balanced_motion import read_all, solve_all
 if TYPE_CHECKING:
     import xarray
 
+ROUND_OFF = 1e-12
+"""How near a value counts as the end of the range, over that."""
 READ = (*CURVES, "stable", "initial_state")
 
 
@@ -56,6 +58,8 @@ def resample(branch: BranchPoints, values: Any) -> "xarray.Dataset":
 def passages_of(branch: BranchPoints, values: np.ndarray):
     """Where the branch passes each value: value, times before, point before, way to the next."""
     x = branch.values
+    for end in x[[0, -1]] if len(x) else ():
+        values = np.where(np.abs(values - end) <= ROUND_OFF * np.abs(end), end, values)
     rows = []
     for k, value in enumerate(values):
         inside = (np.minimum(x[:-1], x[1:]) <= value) & (value < np.maximum(x[:-1], x[1:]))
