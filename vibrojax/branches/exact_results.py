@@ -92,7 +92,6 @@ def between(walk: Walk, first: int, value: float) -> Steps:
     """Solve for the motion at a value between the points `first` and `first` + 1."""
     a, b = walk.points[first], walk.points[first + 1]
     touch = walk.touch_in(first)
-    motion = None
     ends = (a, b) if abs(value - a.parameter) < abs(value - b.parameter) else (b, a)
     if walk.is_leap(first):
         ask = walk.search.pinned(ends[0], value)
@@ -101,11 +100,9 @@ def between(walk: Walk, first: int, value: float) -> Steps:
         # Where two stops change the order in which they are left, one end alone may lead there.
         for end in ends if a.contacts != b.contacts else ends[:1]:
             motion = yield from walk.search.solve(walk.search.pinned(end, value))
-            if motion is not None and not _is_within(walk, a, b, motion):
-                motion = None
-            if motion is not None:
+            if motion is not None and _is_within(walk, a, b, motion):
                 break
-        if motion is None:
+        else:
             motion = yield from _by_halving(walk, first, touch, value)
     else:
         motion = yield from _by_halving(walk, first, touch, value)

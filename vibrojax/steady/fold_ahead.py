@@ -18,7 +18,7 @@ from vibrojax.steady.following import FollowedLanes, advance
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.period_maps import is_stable, size_of
 from vibrojax.steady.pool_programs import (
-    filled,
+    in_widths,
     measured,
     targets_for,
     widths_for,
@@ -270,10 +270,7 @@ def folds_ahead(
     left = np.flatnonzero(can_follow(rigs.columns(), len(weight))[rig])
     each = len(left), rigs.numbers.shape[1]
     widths, to_measure = widths_for(*each), widths_to_measure(*each)
-    for own in np.split(left, np.arange(widths[-1], len(left), widths[-1])):
-        if not len(own):
-            continue
-        lanes = filled(own, widths)
+    for own, lanes in in_widths(left, widths):
         system, one = rigs.pick(rig[lanes]), np.ones(len(lanes), np.int32)
         unit, every = weight[rig[lanes]], np.arange(len(lanes))
         begin, w = state[lanes], angular_frequency[lanes]

@@ -1,5 +1,6 @@
 """The programs that a pool of lanes runs, in widths that compile once."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -85,6 +86,15 @@ def filled(own: np.ndarray, widths: tuple[int, ...]) -> np.ndarray:
     return own[np.minimum(np.arange(width), len(own) - 1)]
 
 
+def in_widths(
+    lanes: np.ndarray, widths: tuple[int, ...]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Lanes that run in one loop, and the same filled up to its width, loop by loop."""
+    for own in np.split(lanes, np.arange(widths[-1], len(lanes), widths[-1])):
+        if len(own):
+            yield own, filled(own, widths)
+
+
 def measured(
     rigs: LaneTable,
     rig: Int[np.ndarray, " points"],
@@ -95,8 +105,7 @@ def measured(
 ) -> Any:
     """March rigs over windows, with measures: where they end, steps and measures, in numpy."""
     parts = []
-    for own in np.split(np.arange(len(rig)), np.arange(widths[-1], len(rig), widths[-1])):
-        at = filled(own, widths)
+    for own, at in in_widths(np.arange(len(rig)), widths):
         table = measure_some(rigs.pick(rig[at]), state[at], frequency[at], window[at])
         parts.append(table.pick(slice(len(own))))
     return replace(parts[0], numbers=np.concatenate([part.numbers for part in parts])).columns()

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.steady.lane_table import LaneTable, table_of
-from vibrojax.steady.pool_programs import filled, widths_for
+from vibrojax.steady.pool_programs import in_widths, widths_for
 from vibrojax.steady.tracks import can_follow
 from vibrojax.stepping.elementary import apply_matrix
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
@@ -84,12 +84,10 @@ def touches_ahead(
     found = TouchAhead(none, none + 0, np.full((len(rig), states), np.nan), none + 0)
     left = np.flatnonzero(can_follow(rigs.columns(), rigs.numbers.shape[0])[rig])
     widths = widths_for(len(left), rigs.numbers.shape[1])
-    for own in np.split(left, np.arange(widths[-1], len(left), widths[-1])):
-        if len(own):
-            at = filled(own, widths)
-            table = touch_ahead(rigs.pick(rig[at]), angular_frequency[at], way[at])
-            for here, there in zip(table.pick(slice(len(own))).columns(), found, strict=True):
-                there[own] = here
+    for own, at in in_widths(left, widths):
+        table = touch_ahead(rigs.pick(rig[at]), angular_frequency[at], way[at])
+        for here, there in zip(table.pick(slice(len(own))).columns(), found, strict=True):
+            there[own] = here
     return found
 
 

@@ -26,10 +26,6 @@ class Jumps:
         self.state = np.empty((*before.shape, 0))
         """Next to the jump, before it."""
 
-    def any(self) -> bool:
-        """Whether any lane jumps."""
-        return bool(self.exists.any())
-
     def begin(self, frequencies: np.ndarray, states: np.ndarray) -> None:
         """Bracket every jump by its two grid points; states are (..., directions, frequencies)."""
         both = np.stack([frequencies[self.before], frequencies[self.after]], axis=-1)

@@ -109,6 +109,8 @@ def sweep_rigs(
         return swept
     refine(plan, plan.refine_jumps, prepared, swept, unit)
     for _ in range(FURTHER):
+        if not found.dropped.any():
+            break
         lanes = np.nonzero(found.dropped)
         allowed[(*lanes, found.after[lanes])] = False
         others = find_jumps(*given)
