@@ -2,11 +2,14 @@
 
     python benchmarks/gpu.py               # on what JAX finds: a GPU, or else the CPU
     python benchmarks/gpu.py --most 8192   # fewer lanes
+    python benchmarks/gpu.py --sweeps 4096 32768   # settled sweeps of so many rigs instead
 
 Exact contact beside diffrax's Tsit5 and a plain Tsit5 of fixed steps under `jax.vmap`, in float64:
 lane-periods/s, the error of the tip after 20 periods against exact event-driven propagation, and
 what compiling takes (all at the same time). Exact contact also with lanes of 256 rigs, from states
 at random, over 60 periods; its error is then against the same on the processor.
+
+Sweeps are those of `maps.py`: four tapers, gaps and stiffnesses, twelve ratios both ways.
 """
 
 import argparse
@@ -25,7 +28,10 @@ import ours
 import peers
 
 import vibrojax as vj
+from vibrojax.ensemble.arguments import arguments_of
+from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.stepping.prepared_rigs import prepare, rigs_of
+from vibrojax.sweep.swept_lanes import sweep_rigs
 
 LANES = (1024, 8192, 65536, 2**20)
 JUDGED = 32
@@ -177,11 +183,42 @@ def measure(case: Case, program: Callable[..., Any], compiling: float) -> None:
     )
 
 
+def sweep(rigs: int) -> None:
+    """Print the settled points/s of sweeps, and what the first of them takes, with compiling."""
+    axes = {
+        "taper": np.linspace(0, 0.75, 4),
+        "gap": np.linspace(0.2e-3, 1e-3, 32),
+        "stiffness": np.linspace(1e3, 1e4, rigs // 128),
+    }
+    ratios = np.linspace(0.95, 1.3, 12)
+    with on_host():
+        maker = RigMaker(vj.default_rig, arguments_of(vj.default_rig, (), axes))
+        plan = vj.SweepSettings(refine_jumps=None).plan(maker.sample(), "frequency_ratio", ratios)
+        own = maker.rigs(tuple(np.arange(len(values)) for values in axes.values()))
+        prepared = jax.tree.map(np.asarray, prepare(plan.stepper, own))
+    seconds = []
+    for _ in range(3):
+        started = time.perf_counter()
+        swept = sweep_rigs(plan, prepared)
+        seconds.append(time.perf_counter() - started)
+    status = swept.curves["status"]
+    print(
+        f"| {rigs:,} | {status.size:,} | {np.mean(status == 0):.4f} | "
+        f"{status.size / min(seconds[1:]):,.0f} | {seconds[0]:.0f} |",
+        flush=True,
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--most", type=int, default=LANES[-1], help="lanes")
+    parser.add_argument("--sweeps", type=int, nargs="*", help="rigs")
     options = parser.parse_args()
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}", flush=True)
+    for rigs in options.sweeps or ():
+        sweep(rigs)
+    if options.sweeps:
+        return
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         cases = {pool.submit(compiled, lowered(case)): case for case in all_cases(options.most)}
         for done in as_completed(cases):

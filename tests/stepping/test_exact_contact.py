@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import vibrojax as vj
-from vibrojax.stepping import exact_contact
+from vibrojax.stepping import elementary, exact_contact, outlook
 from vibrojax.stepping.contact_phases import contact_phases
 from vibrojax.stepping.forcing import forcing, longest_step
 from vibrojax.stepping.gauge import Ruler
@@ -86,6 +86,23 @@ def test_march_agrees_with_event_driven_propagation(rig, problem, case):
         assert error <= 1e-9 * np.linalg.norm(wanted), (lane, len(events))
         # Rounds go from one change of contact to the next.
         assert steps[lane] <= 10 * (len(events) + PERIODS), (lane, len(events))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tension", [True, False])
+def test_what_a_gpu_runs_is_the_same_march(rig, monkeypatch, tension):
+    one = arrays(rig(tension=tension, num_modes=2, stiffness=5e4))
+    march, w = prepare(one), RATIOS * one.equations().angular_frequency[0]
+
+    def marched():
+        return eqx.filter_jit(lambda march, w: run.__wrapped__(march, rest(march, w), w))(march, w)
+
+    wanted, rounds, _ = marched()
+    for module in (outlook, elementary):
+        monkeypatch.setattr(module, "on_cpu", lambda: False)
+    found, its_rounds, _ = marched()
+    np.testing.assert_allclose(found, wanted, atol=1e-12 * np.abs(wanted).max())
+    assert np.all(np.abs(its_rounds - rounds) <= 2 + rounds // 10)  # rounding may cost some
 
 
 @pytest.mark.parametrize(

@@ -57,16 +57,16 @@ class LanePool:
         follow: bool = False,
     ):
         self.march, self.rig, self.resonances = march, rig, resonances
-        self.rigs = table_of(march, xp=np)
+        rigs = table_of(march, xp=np)
         weight = np.asarray(march.energy_weight()).T
         self.weight = weight[rig]
         self.follow = follow
         """Whether lanes are followed where that can be."""
-        self.by_contacts = (follow & can_follow(self.rigs.columns(), len(weight)))[rig]
+        self.by_contacts = (follow & can_follow(rigs.columns(), len(weight)))[rig]
         """Which lanes are, by their contact times, while their period is 1."""
         self.tolerance, self.max_period = tolerance, max_period
         self.max_periods = jnp.asarray(max_periods)
-        each = len(rig), self.rigs.numbers.shape[1]
+        self.rigs, each = rigs.on_device(), (len(rig), rigs.numbers.shape[1])
         self.widths, self.widths_to_measure = widths_for(*each), widths_to_measure(*each)
 
     def run(

@@ -4,14 +4,17 @@ A call with sixty small arrays costs more than most programs take; a table is on
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from operator import getitem
 from types import ModuleType
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from vibrojax.stepping.elementary import on_cpu
 
 Kinds = tuple[tuple[tuple[int, ...], str], ...]
 
@@ -53,9 +56,14 @@ class LaneTable:
         ]
         return self._filled(parts)
 
-    def pick(self, lanes: np.ndarray | slice) -> "LaneTable":
-        """Return the table of some lanes, in numpy."""
-        return LaneTable(np.asarray(self.numbers)[lanes], self.like, self.kinds)
+    def pick(self, lanes: np.ndarray) -> "LaneTable":
+        """Return the table of some lanes, in numpy or `on_device`."""
+        there = isinstance(self.numbers, jax.Array)
+        return replace(self, numbers=(_rows if there else getitem)(self.numbers, lanes))
+
+    def on_device(self) -> "LaneTable":
+        """Return the table where programs have no long way to it: on a CPU numpy's own memory."""
+        return self if on_cpu() else replace(self, numbers=jax.device_put(self.numbers))
 
     def _filled(self, parts: Sequence[Any]) -> Any:
         left = iter(parts)
@@ -63,6 +71,10 @@ class LaneTable:
         is_place = [isinstance(a, str) and a == PLACE for a in leaves]
         both = zip(leaves, is_place, strict=True)
         return jax.tree.unflatten(structure, [next(left) if a else leaf for leaf, a in both])
+
+
+_rows = jax.jit(getitem)
+"""Rows of an array on a device: `jit` is called faster than indexing."""
 
 
 @lru_cache

@@ -15,6 +15,7 @@ from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.map_orbits import no_orbits, to_orbit
 from vibrojax.steady.settling import begin_search, found_period, march_until
 from vibrojax.steady.tracks import no_tracks
+from vibrojax.stepping.elementary import on_cpu
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 
 WIDTHS = {"cpu": (2, 16, 32, 64, 128), "gpu": (64, 1024, 8192)}
@@ -62,7 +63,7 @@ def widths_for(lanes: int, numbers: int) -> tuple[int, ...]:
     few, some, *more = all_widths()
     if lanes <= few:
         return (few,)
-    if jax.default_backend() == "cpu":
+    if on_cpu():
         room = CACHES * second_level_cache() / (8 * numbers)
         more = [width for width in more if width <= room]
     wide = next((width for width in (some, *more) if width >= lanes), (some, *more)[-1])
@@ -107,7 +108,7 @@ def measured(
     parts = []
     for own, at in in_widths(np.arange(len(rig)), widths):
         table = measure_some(rigs.pick(rig[at]), state[at], frequency[at], window[at])
-        parts.append(table.pick(slice(len(own))))
+        parts.append(replace(table, numbers=np.asarray(table.numbers)[: len(own)]))
     return replace(parts[0], numbers=np.concatenate([part.numbers for part in parts])).columns()
 
 

@@ -86,8 +86,8 @@ def touches_ahead(
     widths = widths_for(len(left), rigs.numbers.shape[1])
     for own, at in in_widths(left, widths):
         table = touch_ahead(rigs.pick(rig[at]), angular_frequency[at], way[at])
-        for here, there in zip(table.pick(slice(len(own))).columns(), found, strict=True):
-            there[own] = here
+        for here, there in zip(table.columns(), found, strict=True):
+            there[own] = here[: len(own)]
     return found
 
 

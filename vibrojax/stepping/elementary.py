@@ -15,6 +15,11 @@ FEW = 16
 """Lanes for which one call per product of large matrices costs little."""
 
 
+def on_cpu() -> bool:
+    """Whether programs run on a CPU, where they are written otherwise than for a GPU."""
+    return jax.default_backend() == "cpu"
+
+
 def computed_once(tick: Int[Array, ""], compute: Callable[[], T]) -> T:
     """Return `compute()`, evaluated once although several results are made from it.
 
@@ -22,7 +27,7 @@ def computed_once(tick: Int[Array, ""], compute: Callable[[], T]) -> T:
     is a border that fusion does not cross: it made the step of `ExactContact` 2.4 times faster.
     `tick` is any counter that never is negative, which the compiler cannot know.
     """
-    if jax.default_backend() != "cpu":
+    if not on_cpu():
         return compute()
     shapes = jax.eval_shape(compute)
     return jax.lax.cond(
@@ -35,7 +40,7 @@ def where_needed(needed: Bool[Array, ""], compute: Callable[[], T], otherwise: T
 
     Elsewhere a branch costs more than the computing.
     """
-    if jax.default_backend() != "cpu":
+    if not on_cpu():
         return compute()
     return jax.lax.cond(needed, compute, lambda: otherwise)
 

@@ -22,15 +22,19 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax.stepping.contact_phases import ContactPhases
 from vibrojax.stepping.cubic import cubic_between
-from vibrojax.stepping.elementary import computed_once, pick, where_needed
+from vibrojax.stepping.elementary import computed_once, on_cpu, pick, where_needed
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.signal_bounds import (
     Bounds,
     Margin,
     Place,
+    Span,
     bounds_between,
     errors_of,
-    places_ahead,
+    first_of,
+    spans_ahead,
+    spans_at_once,
+    turns_ahead,
 )
 from vibrojax.stepping.signals import Turning, contact_signals, with_derivatives, with_wave
 from vibrojax.stepping.turns import Turn, product, repeated, turn_over, turned
@@ -137,7 +141,7 @@ class Outlook(eqx.Module):
         decay, rate, speed = (pick(phase, a) for a in self.turning)
         sway = pick(phase, self.sway)
         step = pick(phase, self.longest) * scale
-        part = step / PARTS
+        part, in_steps = step / PARTS, on_cpu()
         rows, rest = signed[0][:, :, :2], signed[1]
         turn = once(lambda: turn_over(decay, rate, part, self.creeps))
         over_interval = once(lambda: repeated(turn, PARTS))
@@ -172,8 +176,10 @@ class Outlook(eqx.Module):
         def grid() -> _Grid:
             more = sway * INTERVALS * step + errors.flat + ROUGH * errors.size - tolerance
             coarse = pick(phase, _single(self.rows[:, :, :, :2]))
-            turns, margin = (over_interval, over_several), Margin(errors.cubic, more)
-            return _Grid(coarse, *_single((rest, now, step, turns, margin)))
+            turns: Any = over_interval, over_several
+            if not in_steps:
+                turns = turns_ahead(decay, rate, step, INTERVALS, jnp.float32)
+            return _Grid(coarse, *_single((rest, now, step, turns, Margin(errors.cubic, more))))
 
         interval = self._first_doubt(once(grid), touching)
         begun = interval * step
@@ -183,8 +189,12 @@ class Outlook(eqx.Module):
         def fine() -> Array:
             more = sway * (begun + 2 * step) - ROUND_OFF * errors.size - tolerance
             margin = Margin(errors.cubic_of_parts, more)
-            places = places_ahead(rows, rest, there, part, turn, PARTS)
-            return self._closely(places, margin, touching, interval, tolerance, scale)
+            if in_steps:
+                spans = spans_ahead(rows, rest, there, part, turn, PARTS)
+            else:
+                turns = turns_ahead(decay, rate, part, PARTS, part.dtype)
+                spans = spans_at_once(rows, rest, there, part, turns)
+            return self._closely(spans, margin, touching, interval, tolerance, scale)
 
         found = once(fine)
         outcome = jnp.floor(found / 2).astype(jnp.int32)
@@ -197,28 +207,29 @@ class Outlook(eqx.Module):
 
     def _first_doubt(self, grid: "_Grid", touching: Which) -> Float[Array, "*lanes"]:
         """First interval of the coarse grid in which a contact may change; else their number."""
-        rows, rest, blocks, step, (turn, leap), margin = grid
+        rows, rest, blocks, step, turns, margin = grid
+        none = jnp.full(blocks.shape[2:], INTERVALS, blocks.dtype)
+
+        def first(spans: list[Span]) -> Array:
+            bounds = [bounds_between(*span, margin.cubic) for span in spans]
+            may = [reduce(jnp.logical_or, self._above(touching, b, margin.more)) for b in bounds]
+            return first_of(none, may, [None] * len(may))[0]
+
+        if isinstance(turns, Turn):
+            return first(spans_at_once(rows, rest, blocks, step, turns))
+        turn, leap = turns
 
         def some(tick: Tick, carry: tuple[Lane, Blocks]) -> tuple[Lane, Blocks]:
-            first, blocks = carry
+            found, blocks = carry
+            here = lambda: first(spans_ahead(rows, rest, blocks, step, turn, PLACES))  # noqa: E731
+            found = jnp.minimum(found, computed_once(tick, here) + PLACES * tick)
+            return found, turned(leap, blocks)
 
-            def here() -> Array:
-                places, doubt = places_ahead(rows, rest, blocks, step, turn, PLACES), none
-                for k in reversed(range(PLACES)):
-                    bounds = bounds_between(places[k], places[k + 1], margin.cubic)
-                    may = self._above(touching, bounds, margin.more)
-                    doubt = jnp.where(reduce(jnp.logical_or, may), k, doubt)
-                return doubt
-
-            found = computed_once(tick, here) + PLACES * tick
-            return jnp.minimum(first, found), turned(leap, blocks)
-
-        none = jnp.full(blocks.shape[2:], INTERVALS, blocks.dtype)
-        return lax.fori_loop(0, INTERVALS // PLACES, some, (none, grid.blocks))[0]
+        return lax.fori_loop(0, INTERVALS // PLACES, some, (none, blocks))[0]
 
     def _closely(
         self,
-        places: list[Place],
+        spans: list[Span],
         margin: Margin,
         touching: Which,
         interval: Lane,
@@ -230,17 +241,14 @@ class Outlook(eqx.Module):
         Twice the outcome (0: no change is expected, 1 + the stop that changes, 1 + the number of
         stops where it is to be looked at again), and how far to go, over the whole grid.
         """
-        found, chosen = jnp.full_like(interval, PARTS), None
-        for k in reversed(range(PARTS)):
-            bounds = bounds_between(places[k], places[k + 1], margin.cubic)
+        hits, each = [], []
+        for span in spans:
+            bounds = bounds_between(*span, margin.cubic)
             may = self._above(touching, bounds, margin.more)
-            here = places[k], places[k + 1], may, self._sure(touching, bounds)
-            hit = reduce(jnp.logical_or, may)
-            # Where there is none the last is taken, which nobody looks at then.
-            choose = lambda new, old, hit=hit: jnp.where(hit, new, old)  # noqa: E731
-            chosen = here if chosen is None else jax.tree.map(choose, here, chosen)
-            found = jnp.where(hit, k, found)
-        assert chosen is not None
+            each.append((*span, may, self._sure(touching, bounds)))
+            hits.append(reduce(jnp.logical_or, may))
+        # Where there is none some part is taken, which nobody looks at then.
+        found, chosen = first_of(jnp.full_like(interval, PARTS), hits, each)
         start, end, may, once_only = chosen
         doubtful = (interval < INTERVALS) & (found < PARTS)
         first, stop, settled = jnp.full_like(interval, jnp.inf), 0 * found, scale > 0
@@ -297,8 +305,8 @@ class _Grid(NamedTuple):
     rest: Float[Array, "signals *lanes"]
     blocks: Float[Array, "2 blocks *lanes"]
     step: Float[Array, "*lanes"]
-    turns: tuple[Turn, Turn]
-    """Over an interval, and over as many as are looked at together."""
+    turns: tuple[Turn, Turn] | Turn
+    """Over an interval and over as many as are looked at together; or to all places."""
     margin: Margin
 
 

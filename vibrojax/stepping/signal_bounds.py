@@ -2,16 +2,24 @@
 
 Every number here is an array of lanes of its own, block by block and signal by signal: of what is
 computed from such arrays XLA makes one loop over lanes, in which nothing is computed twice and
-nothing is stored. With arrays of places, blocks and signals it took twice as long.
+nothing is stored. With arrays of places, blocks and signals it took twice as long on a CPU.
+Elsewhere all places are read at once, as a product with a table of turns: of what is written out
+place by place XLA takes minutes to make a program for a GPU.
 """
 
+from collections.abc import Callable
 from functools import reduce
-from typing import NamedTuple
+from itertools import pairwise
+from typing import NamedTuple, TypeVar
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, DTypeLike, Float
 
-from vibrojax.stepping.turns import Turn
+from vibrojax._tools.trigonometry import cosine_and_sine
+from vibrojax.stepping.turns import Rows, Turn
+
+T = TypeVar("T")
 
 SHAPE = 16 / 6
 """Middle coefficient of 16 x^2 (1 - x)^2, the shape of a cubic's largest error, as a quartic."""
@@ -54,34 +62,97 @@ class Margin(NamedTuple):
 
 Place = list[tuple[Array, Array]]
 """Values of signals, and thirds of their slopes per interval."""
+Span = tuple[Place, Place]
+"""Both ends of an interval; of several where their arrays have these as leading axis."""
 
 
-def places_ahead(
+def spans_ahead(
     rows: Float[Array, "2 blocks kinds signals *lanes"],
     rest: Float[Array, "signals *lanes"],
     blocks: Float[Array, "2 blocks *lanes"],
     step: Float[Array, "*lanes"],
     turn: Turn,
     count: int,
-) -> list[Place]:
-    """Read signals now and after so many turns, an interval of `step` (s) each."""
-    p, r, q, x, y = map(list, (*turn, *blocks))
+) -> list[Span]:
+    """Read signals at the ends of so many intervals of `step` (s), in each of which blocks turn."""
+    read = _reader(rows, rest, step)
+    turns, ahead = list(zip(*turn, strict=True)), list(zip(*blocks, strict=True))
+    places = [read(ahead)]
+    for _ in range(count):
+        ahead = _turned(turns, ahead)
+        places.append(read(ahead))
+    return list(pairwise(places))
+
+
+Pairs = list[tuple[Array, Array]]
+
+
+def _turned(turns: list[tuple[Array, ...]], blocks: Pairs) -> Pairs:
+    both = zip(turns, blocks, strict=True)
+    return [(p * x - q * y, q * x + r * y) for (p, r, q), (x, y) in both]
+
+
+def _reader(rows: Array, rest: Array, step: Array) -> Callable[[Pairs], Place]:
+    """Function that reads signals of blocks."""
     first, second = ([list(map(list, block)) for block in side] for side in rows)
 
-    def read(kind: int, signal: int) -> Array:
-        ahead = zip(first, second, x, y, strict=True)
-        terms = [a[kind][signal] * u + b[kind][signal] * v for a, b, u, v in ahead]
+    def row(kind: int, signal: int, blocks: Pairs) -> Array:
+        ahead = zip(first, second, blocks, strict=True)
+        terms = [a[kind][signal] * x + b[kind][signal] * y for a, b, (x, y) in ahead]
         return reduce(jnp.add, terms)
 
-    found = []
-    for k in range(count + 1):
-        if k:
-            both = list(zip(p, r, q, x, y, strict=True))
-            x = [p * x - q * y for p, _, q, x, y in both]
-            y = [q * x + r * y for _, r, q, x, y in both]
+    def read(blocks: Pairs) -> Place:
         signals = range(len(rest))
-        found.append([(read(0, s) + rest[s], read(1, s) * (step / 3)) for s in signals])
-    return found
+        return [(row(0, s, blocks) + rest[s], row(1, s, blocks) * (step / 3)) for s in signals]
+
+    return read
+
+
+def turns_ahead(
+    decay: Rows,
+    rate: Float[Array, "blocks *lanes"],
+    step: Float[Array, "*lanes"],
+    count: int,
+    kind: DTypeLike,
+) -> Turn:
+    """Turns over no interval of `step` (s), over one, and so on: places behind the blocks."""
+    time = jnp.arange(count + 1.0).reshape(-1, *(1,) * step.ndim) * step
+    first, second = jnp.exp((decay[:, :, None] * time).astype(kind))
+    angle = rate[:, None] * time
+    c, s = cosine_and_sine((angle - 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))).astype(kind))
+    return Turn(first * c, second * c, first * s)
+
+
+def spans_at_once(
+    rows: Float[Array, "2 blocks kinds signals *lanes"],
+    rest: Float[Array, "signals *lanes"],
+    blocks: Float[Array, "2 blocks *lanes"],
+    step: Float[Array, "*lanes"],
+    turns: Turn,
+) -> list[Span]:
+    """The same by `turns_ahead`, as one entry of all intervals."""
+    there = _turned(list(zip(*turns, strict=True)), list(zip(*blocks, strict=True)))
+    read = _reader(rows, rest, step)(there)
+    return [(jax.tree.map(lambda a: a[:-1], read), jax.tree.map(lambda a: a[1:], read))]
+
+
+def first_of(
+    none: Float[Array, "*lanes"], hits: list[Bool[Array, "*where"]], each: list[T]
+) -> tuple[Float[Array, "*lanes"], T]:
+    """First of the intervals that are hit, and what belongs to it; else `none` and something.
+
+    One entry has all intervals as its leading axis, as `spans_at_once` returns them.
+    """
+    if len(hits) == 1:
+        place = jnp.argmax(hits[0], axis=0)[None]
+        found = jnp.where(jnp.any(hits[0], axis=0), place[0], none)
+        return found, jax.tree.map(lambda a: jnp.take_along_axis(a, place, axis=0)[0], each[0])
+    found, chosen = none, each[-1]
+    for k in reversed(range(len(hits))):
+        found = jnp.where(hits[k], k, found)
+        choose = lambda new, old, k=k: jnp.where(hits[k], new, old)  # noqa: E731
+        chosen = jax.tree.map(choose, each[k], chosen)
+    return found, chosen
 
 
 class Bounds(NamedTuple):
