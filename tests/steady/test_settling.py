@@ -12,6 +12,7 @@ from vibrojax._tools.machine import second_level_cache
 from vibrojax.steady import pool_programs
 from vibrojax.steady.map_orbits import least_periods
 from vibrojax.steady.period_maps import is_stable
+from vibrojax.steady.settling import most_periods, slow_limits
 from vibrojax.steady.starting import settle
 
 GRADIENTS = json.loads((Path(__file__).parents[1] / "data" / "gradients.json").read_text())
@@ -308,6 +309,31 @@ def test_period_maps_are_stable_up_to_a_spectral_radius_of_one(states):
     np.testing.assert_array_equal(found, radius < 1)
     for one, stable in zip(scaled, radius < 1, strict=True):
         assert bool(is_stable(jnp.asarray(one))) is bool(stable)
+
+
+@pytest.mark.parametrize("period", [1, 2])
+def test_the_limit_of_a_slow_decay_is_extrapolated(period):
+    """Two turning modes and one that alternates, all with multipliers of 0.99 and more."""
+    rng, multipliers = np.random.default_rng(0), np.zeros(6, complex)
+    multipliers[:4] = 0.999 * np.exp(1j * np.array([0.3, -0.3, 1.1, -1.1]))
+    multipliers[4] = -0.99
+    basis = rng.normal(size=(6, 6)).astype(complex)
+    basis[[1, 3]] = np.conj(basis[[0, 2]] + 1j * rng.normal(size=(2, 6)))
+    basis[[0, 2]] = np.conj(basis[[1, 3]])
+    decay = (multipliers ** np.arange(40)[:, None] @ basis).real
+    orbit = rng.normal(size=(period, 6))
+    states = orbit[np.arange(40) % period] * 20 + decay
+    wild = np.random.default_rng(1).normal(size=(40, 6))
+    limit, found = slow_limits(np.stack([states[::-1], wild])[:, :17], 8)
+    assert found.tolist() == [period, 0]
+    np.testing.assert_allclose(limit[0], 20 * orbit[39 % period], rtol=1e-7)
+    np.testing.assert_array_equal(limit[1], wild[0])
+
+
+def test_slow_motions_are_marched_for_longer():
+    time, one = np.array([0.0, 1.0, 100.0, np.inf]), np.full(4, 2 * np.pi * 50)
+    assert most_periods(time, one, 8).tolist() == [600, 600, 10_000, 10_000]
+    assert most_periods(time, 10 * one, 400).tolist() == [801, 1000, 10_000, 10_000]
 
 
 def test_loops_are_as_wide_as_the_cache_allows(monkeypatch):

@@ -60,11 +60,14 @@ def test_a_call_solves_for_many_points_of_few_lanes(rig, both, monkeypatch):
     np.testing.assert_array_equal(again.amplitude_ratio, both["follow"].amplitude_ratio)
 
 
-def test_a_sweep_without_contact_marches_to_its_first_points_only(rig):
-    curve = swept(rig(num_modes=2, gap=1.0), "follow")
-    assert (np.asarray(curve.periods_marched) > 0).sum() == 2
+@pytest.mark.parametrize(("damping_ratio", "marched"), [(0.018, 2), (2e-4, 8)])
+def test_a_sweep_without_contact_marches_to_its_first_points_only(rig, damping_ratio, marched):
+    """With light damping, where half of a transient is left after 600 periods, by its peak too."""
+    one = rig(num_modes=2, gap=1.0, damping_ratio=damping_ratio)
+    curve = swept(one, "follow")
+    assert (np.asarray(curve.periods_marched) > 0).sum() <= marched
     # One mode after another, in closed form.
-    equations = rig(num_modes=2, gap=1.0).equations()
+    equations = one.equations()
     w, z = np.asarray(equations.angular_frequency), np.asarray(equations.damping_ratio)
     drive = (RATIOS * w[0])[:, None]
     gain = equations.input_map * equations.response_map / (w**2 - drive**2 + 2j * z * w * drive)
@@ -73,6 +76,14 @@ def test_a_sweep_without_contact_marches_to_its_first_points_only(rig):
         np.testing.assert_allclose(curve.amplitude_ratio[way], exact, rtol=1e-7)
         np.testing.assert_allclose(curve.rms_ratio[way], exact / np.sqrt(2), rtol=1e-9)
         np.testing.assert_allclose(curve.first_harmonic_ratio[way], exact, rtol=1e-9)
+
+
+def test_impacts_of_a_lightly_damped_beam_settle(rig):
+    one, ratios = rig(num_modes=2, gap=1e-3, damping_ratio=1e-3), np.linspace(0.92, 1.08, 9)
+    for most in (600, None):
+        curve = swept(one, "follow", ratios, refine_jumps=None, max_periods=most)
+        assert np.mean(np.asarray(curve.period) > 0) > 0.6
+        assert (np.asarray(curve.periods_marched).max() > 600) == (most is None)
 
 
 def test_where_a_motion_doubles_its_period_the_sweep_does(oscillator):

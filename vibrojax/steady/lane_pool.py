@@ -10,29 +10,37 @@ near to the limit, for Newton's method; what that does not settle marches on to 
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax.steady.following import advance, nothing_ahead
+from vibrojax.steady.following import advance
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.last_motions import LastMotions
 from vibrojax.steady.map_orbits import least_periods
+from vibrojax.steady.points_ahead import PointsAhead
 from vibrojax.steady.pool_programs import (
     filled,
     march_some,
     measured,
     polish_some,
+    settling_time,
+    steps_of_lanes,
     targets_for,
     widths_for,
     widths_to_measure,
 )
 from vibrojax.steady.settled import SETTLED, Onwards, Settled, place_in_lane, status_of
-from vibrojax.steady.settling import APERIODIC_PERIODS, CLOSED, NEAR, begin_search
+from vibrojax.steady.settling import (
+    APERIODIC_PERIODS,
+    CLOSED,
+    NEAR,
+    begin_search,
+    most_periods,
+    slow_limits,
+)
 from vibrojax.steady.tracks import begin_track, can_follow, keeps_to_contacts
 from vibrojax.stepping.resonance import is_unbounded
 from vibrojax.stepping.stepper import AbstractMarch
@@ -53,7 +61,7 @@ class LanePool:
         resonances: Float[np.ndarray, "modes lanes"],
         tolerance: float,
         max_period: int,
-        max_periods: int,
+        max_periods: int | None,
         follow: bool = False,
     ):
         self.march, self.rig, self.resonances = march, rig, resonances
@@ -65,7 +73,7 @@ class LanePool:
         self.by_contacts = (follow & can_follow(rigs.columns(), len(weight)))[rig]
         """Which lanes are, by their contact times, while their period is 1."""
         self.tolerance, self.max_period = tolerance, max_period
-        self.max_periods = jnp.asarray(max_periods)
+        self.max_periods, self.settling = max_periods, settling_time(march)[rig]
         self.rigs, each = rigs.on_device(), (len(rig), rigs.numbers.shape[1])
         self.widths, self.widths_to_measure = widths_for(*each), widths_to_measure(*each)
 
@@ -100,11 +108,7 @@ class LanePool:
         """How far from its orbit it is known to have been there, over its size."""
         self.pace = np.full((count, 2), np.inf)
         """Rows of `Pace`."""
-        most = targets_for(self.widths[0])
-        self.points = nothing_ahead(count * most, self.state.shape[1])
-        """Points of lanes that have been followed, so many rows for each."""
-        self.passed, self.rounds = np.zeros(count, int), np.zeros((count, most), int)
-        """How many there are to read, and the rounds up to each."""
+        self.points = PointsAhead(count, targets_for(self.widths[0]), self.state.shape[1])
         self.oriented = np.zeros(count, bool)
         """Whether a lane has marched to where it is to be solved for, not followed."""
         every = np.ones(count, bool)
@@ -165,6 +169,12 @@ class LanePool:
         """Whether lanes would grow without bound: they are not marched."""
         return np.asarray(is_unbounded(self.resonances[:, lanes], self.frequency[lanes], np))
 
+    def _most_periods(self, lanes: np.ndarray) -> np.ndarray:
+        """Drive periods that lanes are marched for at the most."""
+        if self.max_periods is not None:
+            return np.full(len(lanes), self.max_periods, np.int32)
+        return most_periods(self.settling[lanes], self.frequency[lanes], self.max_period)
+
     def _own(self, lanes: np.ndarray) -> LaneTable:
         """March of some lanes, each with its rig."""
         return self.rigs.pick(self.rig[lanes])
@@ -199,7 +209,7 @@ class LanePool:
             search,
             self.frequency[lanes],
             self.limit[lanes],
-            self.max_periods,
+            self._most_periods(lanes),
             np.int32(still),
         )
         # The last column is the period found.
@@ -213,14 +223,24 @@ class LanePool:
         self.wanted[own], self.period[own] = np.minimum(period, 1), period
         self.stage[own] = np.where(near & (period > 0), POLISH, MEASURE)
         self.stage[own[near & (period == 1) & self.by_contacts[own]]] = ORIENT
-        self._march_on(own[near & (period == 0) & ~lost])
+        self._march_on(own[(period == 0) & ~lost])
 
     def _march_on(self, lanes: np.ndarray) -> None:
-        """Let lanes go on to the full tolerance, unless they marched for too long already."""
-        self.limit[lanes], self.period[lanes] = self.tolerance, 0
+        """Let lanes go on to the full tolerance, unless they marched for too long already.
+
+        Those that settle slowly are looked for on the limit of their decay, once.
+        """
+        self.state[lanes] = self.search.history[lanes, 0] / self.weight[lanes]
+        over = self.search.marched[lanes] >= self._most_periods(lanes)
+        self.period[lanes], self.stage[lanes] = 0, np.where(over, MEASURE, MARCH)
+        slow = lanes[over & (self.limit[lanes] < np.inf)]
+        limit, period = slow_limits(self.search.history[slow], self.max_period)
+        slow, limit, period = (a[period > 0] for a in (slow, limit, period))
+        self.limit[lanes], self.limit[slow] = self.tolerance, np.inf
         self.search.streak[lanes], self.search.done[lanes] = 0, False
-        over = self.search.marched[lanes] >= int(self.max_periods)
-        self.stage[lanes] = np.where(over, MEASURE, MARCH)
+        self.state[slow] = limit / self.weight[slow]
+        self.wanted[slow] = self.period[slow] = period
+        self.stage[slow] = np.where((period == 1) & self.by_contacts[slow], ORIENT, POLISH)
 
     def _run_follow(self, chosen: np.ndarray) -> None:
         """Follow lanes towards their frequencies, and from there on to those behind them.
@@ -233,38 +253,20 @@ class LanePool:
         if self.ahead is not None:
             targets[1:] = self.ahead(lanes, len(targets) - 1)
         given = self._own(lanes), self.last.tracks.pick(lanes), targets, self.pace[lanes].T
-        table, steps = advance(*given, np.asarray(n // 4))
-        # The steps of a lane one after the other.
-        rows = np.asarray(table.numbers).reshape(-1, len(lanes), table.numbers.shape[-1])
-        rows = rows[: int(steps), :n].swapaxes(0, 1)
+        rows, every = steps_of_lanes(*advance(*given, np.asarray(n // 4)), len(lanes), n)
         self.last.tracks.numbers[own] = rows[:, -1, : self.last.tracks.numbers.shape[1]]
-        every = replace(table, numbers=rows.reshape(-1, rows.shape[-1])).columns()
-        good, arrived, ended, state, rounds, *pace = (
-            a.reshape(*rows.shape[:2], *a.shape[1:])
-            for a in (
-                *(every.found.good > 0, every.arrived > 0, every.ended > 0),
-                *(every.found.state, every.found.rounds, *every.pace),
-            )
-        )
-        self.pace[own] = np.stack([a[:, -1] for a in pace], axis=1)
-        reads, rounds = arrived.any(axis=1), np.cumsum(rounds, axis=1)
+        good, state, rounds = every.found.good > 0, every.found.state, every.found.rounds
+        self.pace[own] = np.stack([a[:, -1] for a in every.pace], axis=1)
+        arrived, rounds = every.arrived > 0, np.cumsum(rounds, axis=1)
+        reads = arrived.any(axis=1)
         # Those that are on their way, or cannot be followed.
         self.search.steps[own[~reads]] += rounds[~reads, -1]
         came = ~reads & good.any(axis=1) & ~self.oriented[own]
         last = good.shape[1] - 1 - np.argmax(good[came, ::-1], axis=1)
         self.state[own[came]] = state[came, last]
-        self._give_up(own[ended.any(axis=1)])
-        # The steps that arrived, in order.
-        order = np.argsort(~arrived[reads], axis=1, kind="stable")[:, : len(targets)]
-        k, to, place = np.flatnonzero(reads)[:, None], own[reads], np.arange(order.shape[1])
-        self.points.numbers[self._rows(to)[:, place]] = rows[k, order]
-        self.rounds[to[:, None], place] = rounds[k, order]
-        self.stage[to], self.passed[to] = READ, arrived[reads].sum(axis=1)
-
-    def _rows(self, lanes: np.ndarray) -> np.ndarray:
-        """Rows of the points of some lanes, (lanes, points)."""
-        most = self.rounds.shape[1]
-        return lanes[:, None] * most + np.arange(most)
+        self._give_up(own[(every.ended > 0).any(axis=1)])
+        self.points.keep(own[reads], rows[reads], rounds[reads], arrived[reads])
+        self.stage[own[reads]] = READ
 
     def _give_up(self, lanes: np.ndarray) -> None:
         """March lanes that cannot be followed, or go on with those that have marched."""
@@ -288,10 +290,7 @@ class LanePool:
         A lane has several points one after the other: it ends before the first that does not.
         """
         lanes, _ = self._batch(chosen)
-        there = np.arange(self.rounds.shape[1]) < self.passed[lanes, None]
-        own = np.repeat(lanes, self.passed[lanes])
-        rounds = np.diff(self.rounds[lanes], axis=1, prepend=0)[there]
-        points = self.points.pick(self._rows(lanes)[there]).columns()
+        own, rounds, points = self.points.of(lanes)
         track, state = points.track, points.found.state
         one, weight = np.ones(len(own), np.int32), self.weight[own]
         end, steps, measures = self._marched(own, state, track.frequency[:, 0], one)
@@ -320,7 +319,7 @@ class LanePool:
         own, lanes = self._batch_of_like(chosen, self.wanted)
         begun = self.state[lanes] * self.weight[lanes]
         given = self._own(lanes), self._fresh(begun), self.frequency[lanes], self.limit[lanes]
-        periods = jnp.asarray(int(self.wanted[own[0]]))
+        periods = np.full(len(lanes), self.wanted[own[0]], np.int32)
         search, _ = march_some(*given, periods, np.int32(0)).columns()
         begun, end = begun[: len(own)], search.history[: len(own), 0]
         nearer, error = self.last.stepped(own, begun, end)
@@ -343,8 +342,9 @@ class LanePool:
         self.last.orbits.numbers[settled] = numbers[good, :-1]
         self.state[settled] = self.orbit.state[settled] / self.weight[settled]
         self.stage[settled] = MEASURE
-        # After a march period 1 has been tried before any other.
-        first, orbit = np.where(self.predicted[settled], 1, 2), self.orbit.state[settled]
+        # After a march that returned period 1 has been tried before any other.
+        returned = ~self.predicted[settled] & (self.limit[settled] < np.inf)
+        first, orbit = np.where(returned, 2, 1), self.orbit.state[settled]
         after = lambda k, n: self._after(settled[k], n)  # noqa: E731
         self.period[settled] = least_periods(self.wanted[settled], orbit, first, after)
         self._go_back(left[self.predicted[left]])

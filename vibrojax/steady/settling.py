@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax._tools.types import AnyArray
@@ -25,6 +26,11 @@ CLOSED = 1e-5
 """Relative return before the last Newton step that shows the steps converge: they square it."""
 STEADY = 3
 """Periods in a row that have to look settled."""
+SLOW, MODES = 0.2, 8
+"""Longest return, over the size of a motion, that is one of slow settling; modes of its decay that
+are told from each other."""
+FEW_PERIODS, MANY_PERIODS = 600, 10_000
+"""Marched at the most where nothing is asked for: where motions decay fast, and however slowly."""
 APERIODIC_PERIODS = 24
 """Periods over which a motion without a period is measured."""
 
@@ -78,7 +84,7 @@ def march_until(
     search: Search,
     frequency: Float[Array, "*lanes"],
     tolerance: Float[Array, "*#lanes"],
-    max_periods: Int[ArrayLike, ""],
+    max_periods: Int[ArrayLike, "*#lanes"],
     still: Int[ArrayLike, ""],
 ) -> Search:
     """March the lanes that are not done until their motion returns to within the tolerance.
@@ -127,3 +133,38 @@ def found_period(search: Search, tolerance: Float[Array, "*#lanes"]) -> Int[Arra
     first = jnp.min(jnp.where(fits, orders, max_period + 1), axis=0)
     first = jnp.where(first <= max_period, first, 0)
     return jnp.where(search.streak >= STEADY, first, 0).astype(jnp.int32)
+
+
+def most_periods(
+    time: Float[np.ndarray, " lanes"],
+    angular_frequency: Float[np.ndarray, " lanes"],
+    max_period: int,
+) -> Int[np.ndarray, " lanes"]:
+    """Return the drive periods to march lanes whose free motions decay in a time, s, to `NEAR`."""
+    periods = 2 * time * angular_frequency / (2 * np.pi)
+    return np.clip(periods, max(FEW_PERIODS, 2 * max_period + 1), MANY_PERIODS).astype(np.int32)
+
+
+def slow_limits(
+    history: Float[np.ndarray, "lanes strobes states"], max_period: int
+) -> tuple[Float[np.ndarray, "lanes states"], Int[np.ndarray, " lanes"]]:
+    """Where motions that still settle should end, and after how many drive periods they return.
+
+    Period 0 where they do not look like that. `history` holds weighted states, the newest first;
+    the last returns are continued by reduced rank extrapolation (Sidi, Vector Extrapolation Methods
+    with Applications, 2017, section 1.4), which is exact for some linear modes of decay.
+    """
+    limit, period = history[:, 0].copy(), np.zeros(len(history), np.int32)
+    size, least = np.linalg.norm(history, axis=2).max(axis=1), np.full(len(history), np.inf)
+    for n in range(1, max_period + 1):
+        states = history[:, ::n][:, : MODES + 2]
+        back = np.diff(states, axis=1)
+        returns = np.linalg.norm(back, axis=2)
+        shrinks = (returns[:, 0] < returns[:, -1]) & (returns[:, 0] < SLOW * size)
+        # The smallest period, unless a multiple of it returns far better.
+        own = np.flatnonzero(shrinks & (returns[:, 0] < least / 4))
+        bends = np.diff(back[own], axis=1)
+        share = np.linalg.pinv(bends.swapaxes(1, 2), rcond=1e-8) @ back[own, 0, :, None]
+        limit[own] = states[own, 0] - (share.swapaxes(1, 2) @ back[own, :-1])[:, 0]
+        least[own], period[own] = returns[own, 0], n
+    return limit, period

@@ -24,7 +24,7 @@ class SweepPlan(NamedTuple):
     stepper: AbstractStepper
     tolerance: float
     max_period: int
-    max_periods: int
+    max_periods: int | None
     refine_jumps: float | None
     settle: str
 

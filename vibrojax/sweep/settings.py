@@ -29,8 +29,9 @@ class SweepSettings(AbstractSettings):
     system, the first where the stops are linear in contact."""
     max_period: int = eqx.field(static=True, default=8)
     """Longest period looked for, in drive periods."""
-    max_periods: int = eqx.field(static=True, default=600)
-    """Most drive periods marched at one frequency."""
+    max_periods: int | None = eqx.field(static=True, default=None)
+    """Most drive periods marched at one frequency. None: 600, or twice as many as the slowest mode
+    of a beam with linear stops takes to decay to a thousandth, up to 10,000."""
     settle: str = eqx.field(static=True, default="follow")
     """`follow`: a settled motion is solved for at the next frequency while it stays stable and
     keeps to its contacts, and marched where it does not; `march`: every point is marched to."""
@@ -44,7 +45,8 @@ class SweepSettings(AbstractSettings):
         check_choice("direction", self.direction, tuple(DIRECTIONS))
         check_choice("settle", self.settle, ("follow", "march"))
         check_count("max_period", self.max_period)
-        check_count("max_periods", self.max_periods, least=2 * self.max_period + 1)
+        if self.max_periods is not None:
+            check_count("max_periods", self.max_periods, least=2 * self.max_period + 1)
         if self.refine_jumps is not None:
             allowed = "from 1e-9 to 1, or None"
             check_range("refine_jumps", self.refine_jumps, 1e-9, 1.0, allowed=allowed)
