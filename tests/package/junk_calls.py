@@ -646,7 +646,7 @@ def drawn_at_random(examples):
         max_leaves=5,
     )
     held = arrays(float, array_shapes(max_dims=3, min_side=0, max_side=3))
-    functions = words("study system make_system start search stepper measures prepared")
+    functions = words("study system make_system start search stepper measures prepared solver")
 
     @settings(
         max_examples=examples,

@@ -89,6 +89,8 @@ CALLS = {
         RIG, periods=3, stepper=vj.ExactContact, **AT
     ),
     "periods must be a number, got '3'.": lambda: vj.simulate(RIG, periods="3", **AT),
+    "periods and samples_per_period, samples or": lambda: vj.simulate(RIG, periods=2**63, **AT),
+    "duration and samples_per_period, samples or": lambda: vj.simulate(RIG, duration=2**63, **AT),
     "periods must be above 0": lambda: vj.simulate(RIG, periods=-3, **AT),
     "initial_states must be a list": lambda: vj.simulate(RIG, periods=3, initial_states=[], **AT),
     "give frequency (Hz)": lambda: vj.simulate(RIG, periods=3),

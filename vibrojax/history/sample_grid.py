@@ -60,11 +60,12 @@ def sample_grid(
     period = 2 * jnp.pi / run.clock
     if periods is not None:
         check_positive("periods", periods, "(drive periods)")
-        length: Any = periods * period
+        length = jnp.asarray(periods, float) * period
         count: Any = periods
     else:
         check_one_number("duration", duration, "s", "The motions of one call are equally long.")
-        length, count = jnp.asarray(duration, float), concrete(duration / period)
+        length = jnp.asarray(duration, float)
+        count = concrete(length / period)
     if sampling_rate is not None:
         seconds = concrete(length)
         samples = None if seconds is None else max(1, round(float(seconds) * sampling_rate))
