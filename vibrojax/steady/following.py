@@ -383,3 +383,13 @@ def advance(
     begin = jnp.int32(0), track, Pace(*jnp.asarray(pace)), none, none == 0, room
     steps, *_, rows = lax.while_loop(goes_on, on, begin)
     return replace(like, numbers=rows.reshape(-1, rows.shape[-1])), steps
+
+
+def steps_of_lanes(
+    table: LaneTable, steps: Int[Array, ""], width: int, lanes: int
+) -> tuple[Float[np.ndarray, "lanes steps columns"], Any]:
+    """Return the steps of `advance` with the first of so many lanes: rows, and `Ahead` of them."""
+    rows = np.asarray(table.numbers).reshape(-1, width, table.numbers.shape[1])
+    rows = rows[: int(steps), :lanes].swapaxes(0, 1)
+    every = replace(table, numbers=rows.reshape(-1, rows.shape[-1])).columns()
+    return rows, jax.tree.map(lambda a: a.reshape(*rows.shape[:2], *a.shape[1:]), every)

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax.steady.following import advance
+from vibrojax.steady.following import advance, steps_of_lanes
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.last_motions import LastMotions
 from vibrojax.steady.map_orbits import least_periods
@@ -26,8 +26,6 @@ from vibrojax.steady.pool_programs import (
     march_some,
     measured,
     polish_some,
-    settling_time,
-    steps_of_lanes,
     targets_for,
     widths_for,
     widths_to_measure,
@@ -39,6 +37,7 @@ from vibrojax.steady.settling import (
     NEAR,
     begin_search,
     most_periods,
+    settling_time,
     slow_limits,
 )
 from vibrojax.steady.tracks import begin_track, can_follow, keeps_to_contacts

@@ -35,9 +35,7 @@ class PointsAhead:
         self.rounds[lanes[:, None], place] = rounds[k, order]
         self.number[lanes] = arrived.sum(axis=1)
 
-    def of(
-        self, lanes: Lanes
-    ) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points"], Any]:
+    def of(self, lanes: Lanes) -> tuple[Points, Points, Any]:
         """Return the lane of each point of some lanes, the rounds for it, and `Ahead`."""
         there = np.arange(self.rounds.shape[1]) < self.number[lanes, None]
         rounds = np.diff(self.rounds[lanes], axis=1, prepend=0)[there]

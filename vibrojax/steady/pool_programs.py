@@ -6,14 +6,14 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.machine import second_level_cache
 from vibrojax.steady.following import advance
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.map_orbits import no_orbits, to_orbit
-from vibrojax.steady.settling import NEAR, begin_search, found_period, march_until
+from vibrojax.steady.settling import begin_search, found_period, march_until
 from vibrojax.steady.tracks import no_tracks
 from vibrojax.stepping.elementary import on_cpu
 from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
@@ -23,8 +23,6 @@ WIDTHS = {"cpu": (2, 16, 32, 64, 128), "gpu": (64, 1024, 8192)}
 CACHES = 2.0
 """Most that the numbers of the lanes of a loop may fill of the second-level cache of a CPU: with 20
 modes more of them are slower by a quarter, with 12 not yet."""
-UNDAMPED = 1e-9
-"""Decay, over the highest angular frequency of a rig, that counts as none."""
 POINTS = 64
 """Of all lanes together for which motions are solved in one call, one of each at the least: calls
 cost more than few lanes take, but many lanes would wait for the one that gets furthest."""
@@ -112,28 +110,6 @@ def measured(
         table = measure_some(rigs.pick(rig[at]), state[at], frequency[at], window[at])
         parts.append(replace(table, numbers=np.asarray(table.numbers)[: len(own)]))
     return replace(parts[0], numbers=np.concatenate([part.numbers for part in parts])).columns()
-
-
-def steps_of_lanes(
-    table: LaneTable, steps: Int[Array, ""], width: int, lanes: int
-) -> tuple[Float[np.ndarray, "lanes steps columns"], Any]:
-    """Return the steps of `advance` with the first of so many lanes: rows, and `Ahead` of them."""
-    rows = np.asarray(table.numbers).reshape(-1, width, table.numbers.shape[1])
-    rows = rows[: int(steps), :lanes].swapaxes(0, 1)
-    every = replace(table, numbers=rows.reshape(-1, rows.shape[-1])).columns()
-    return rows, jax.tree.map(lambda a: a.reshape(*rows.shape[:2], *a.shape[1:]), every)
-
-
-def settling_time(march: AbstractMarch) -> Float[np.ndarray, " rigs"]:
-    """Time, s, in which free motions of rigs decay to what is `NEAR`; 0 where they never do.
-
-    Also where what is marched does not say so.
-    """
-    if not isinstance(march, ExactMarch):
-        return np.zeros(march.energy_weight().shape[1])
-    decay, rate = -np.asarray(march.phases.exponent)[0], np.asarray(march.phases.rate)[0]
-    slowest = np.where(decay > UNDAMPED * rate.max(axis=0), decay, np.inf).min(axis=(0, 1))
-    return np.log(1 / NEAR) / slowest
 
 
 def compile_ahead(march: AbstractMarch, lanes: int, max_period: int, follow: bool) -> None:

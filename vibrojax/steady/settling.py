@@ -16,7 +16,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from vibrojax._tools.types import AnyArray
 from vibrojax.stepping.elementary import by_halves, total
-from vibrojax.stepping.stepper import AbstractMarch
+from vibrojax.stepping.stepper import AbstractMarch, ExactMarch
 
 lax = jax.lax
 
@@ -29,6 +29,8 @@ STEADY = 3
 SLOW, MODES = 0.2, 8
 """Longest return, over the size of a motion, that is one of slow settling; modes of its decay that
 are told from each other."""
+UNDAMPED = 1e-9
+"""Decay, over the highest angular frequency of a rig, that counts as none."""
 FEW_PERIODS, MANY_PERIODS = 600, 10_000
 """Marched at the most where nothing is asked for: where motions decay fast, and however slowly."""
 APERIODIC_PERIODS = 24
@@ -133,6 +135,18 @@ def found_period(search: Search, tolerance: Float[Array, "*#lanes"]) -> Int[Arra
     first = jnp.min(jnp.where(fits, orders, max_period + 1), axis=0)
     first = jnp.where(first <= max_period, first, 0)
     return jnp.where(search.streak >= STEADY, first, 0).astype(jnp.int32)
+
+
+def settling_time(march: AbstractMarch) -> Float[np.ndarray, " rigs"]:
+    """Time, s, in which free motions of rigs decay to what is `NEAR`; 0 where they never do.
+
+    Also where what is marched does not say so.
+    """
+    if not isinstance(march, ExactMarch):
+        return np.zeros(march.energy_weight().shape[1])
+    decay, rate = -np.asarray(march.phases.exponent)[0], np.asarray(march.phases.rate)[0]
+    slowest = np.where(decay > UNDAMPED * rate.max(axis=0), decay, np.inf).min(axis=(0, 1))
+    return np.log(1 / NEAR) / slowest
 
 
 def most_periods(

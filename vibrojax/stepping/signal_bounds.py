@@ -60,6 +60,8 @@ class Margin(NamedTuple):
     """All else, less what counts as none."""
 
 
+Pairs = list[tuple[Array, Array]]
+"""Both rows of every block."""
 Place = list[tuple[Array, Array]]
 """Values of signals, and thirds of their slopes per interval."""
 Span = tuple[Place, Place]
@@ -82,9 +84,6 @@ def spans_ahead(
         ahead = _turned(turns, ahead)
         places.append(read(ahead))
     return list(pairwise(places))
-
-
-Pairs = list[tuple[Array, Array]]
 
 
 def _turned(turns: list[tuple[Array, ...]], blocks: Pairs) -> Pairs:
