@@ -70,7 +70,11 @@ SLOW = {
         "test_quiet_where_there_is_no_terminal",
         "test_measures_of_ones_own",
     ),
-    "test_regime_map": ("test_a_map_is_its_bifurcation_diagrams",),
+    "test_regime_map": (
+        "test_a_map_is_its_bifurcation_diagrams",
+        "test_measures_of_regimes",
+        "test_a_stored_map_is_not_computed_again",
+    ),
     "test_settling": (
         "test_highest_point_of_the_upper_branch",
         "test_found_orbits_close_on_themselves",
@@ -159,6 +163,11 @@ SLOW = {
         "test_other_numbers_compile_nothing",
         "test_a_slider_moves_the_picture",
         "test_the_orbit_follows_the_mouse_and_the_slider",
+        "test_without_a_kernel_there_is_a_still_picture_with_a_note",
+        "test_in_a_kernel_there_are_widgets",
+        "test_a_rig_in_place_of_a_function_is_refused",
+        "test_completion_shows_what_is_for_users",
+        "test_a_slider_that_goes_on_shows_what_was_computed_ahead",
     ),
     "test_map_identity": ("test_chunks_of_corrected_lanes_and_only_they_are_computed_again",),
     "test_frequency_sweep": (
@@ -186,6 +195,7 @@ SLOW = {
             "parameter_map_of_sweeps",
             "simulate",
             "history_contacts",
+            "history_poincare",
             "history_spectrum",
             "history_peak",
             "history_energy",
@@ -211,6 +221,7 @@ SLOW = {
         "test_other_laws_are_followed_on_the_map_of_a_period",
         "test_a_second_sweep_with_other_numbers_compiles_nothing",
         "test_a_sweep_without_contact_marches_to_its_first_points_only",
+        "test_impacts_of_a_lightly_damped_beam_settle",
     ),
     "test_jumps_at_folds": (
         "test_none_is_found_that_lies_too_far_or_the_other_way",
