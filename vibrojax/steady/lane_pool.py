@@ -227,7 +227,7 @@ class LanePool:
     def _march_on(self, lanes: np.ndarray) -> None:
         """Let lanes go on to the full tolerance, unless they marched for too long already.
 
-        Those that settle slowly are looked for on the limit of their decay, once.
+        Those that settle slowly are looked for on the limit of their decay, once: inf marks them.
         """
         self.state[lanes] = self.search.history[lanes, 0] / self.weight[lanes]
         over = self.search.marched[lanes] >= self._most_periods(lanes)

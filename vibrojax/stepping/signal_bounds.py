@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, DTypeLike, Float
 
 from vibrojax._tools.trigonometry import cosine_and_sine
-from vibrojax.stepping.turns import Rows, Turn
+from vibrojax.stepping.turns import Rows, Turn, turned_rows
 
 T = TypeVar("T")
 
@@ -87,8 +87,7 @@ def spans_ahead(
 
 
 def _turned(turns: list[tuple[Array, ...]], blocks: Pairs) -> Pairs:
-    both = zip(turns, blocks, strict=True)
-    return [(p * x - q * y, q * x + r * y) for (p, r, q), (x, y) in both]
+    return [turned_rows(*both) for both in zip(turns, blocks, strict=True)]
 
 
 def _reader(rows: Array, rest: Array, step: Array) -> Callable[[Pairs], Place]:

@@ -96,8 +96,13 @@ def doubled(
 
 def turned(turn: Turn, blocks: Rows) -> Rows:
     """Block coordinates after a turn."""
-    (p, r, q), (x, y) = turn, blocks
-    return jnp.stack([p * x - q * y, q * x + r * y])
+    return jnp.stack(turned_rows(turn, blocks))
+
+
+def turned_rows(turn: Sequence[Array], rows: Sequence[Array] | Array) -> tuple[Array, Array]:
+    """Both rows of block coordinates after a turn, apart."""
+    (p, r, q), (x, y) = turn, rows
+    return p * x - q * y, q * x + r * y
 
 
 def slope_row(
