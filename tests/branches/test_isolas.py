@@ -5,8 +5,8 @@ import pytest
 
 import vibrojax as vj
 
-AMPLITUDE = 4.0e-5
-"""Below 4.17e-5 m the free motion nowhere reaches the stop."""
+AMPLITUDE = 3.8215e-5
+"""Below 4.17e-5 m free motions nowhere reach the stop; from 3.8206e-5 m on there is an isola."""
 ABOUT = vj.Range(0.9, 1.4)
 
 
@@ -26,6 +26,8 @@ def test_an_isola_is_found_and_closes(branch):
     assert (isola.contact_fraction > 0).all()
     assert isola.status == "closed"
     assert isola.values[0] == isola.values[-1]
+    # It lies between two of the places at which others are looked for.
+    assert np.ptp(isola.values) < 0.02
     assert 0 < isola.stable.sum() < len(isola.values)
     assert np.max(isola.residual) < 1e-9
     assert "closed" in repr(branch)
@@ -42,6 +44,14 @@ def test_its_folds_are_those_along_the_amplitude(branch):
             rig, frequency_ratio=fold, base_amplitude=vj.Range(0.2e-4, 2e-3)
         )
         assert np.abs(along.folds / AMPLITUDE - 1).min() < 1e-7
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("amplitude", "isolas"), [(3.8200e-5, 0), (4.0e-5, 1)])
+def test_others_are_found_where_there_are_any(amplitude, isolas):
+    """Where the curve of folds just fails to come to the gap; and an isola of half the range."""
+    other = vj.continue_response(rig(amplitude), frequency_ratio=ABOUT, isolas=True)
+    assert len(other.isolas) == isolas
 
 
 @pytest.mark.slow

@@ -75,8 +75,9 @@ def continue_response(
             inside where there is nothing at either; that is said too.
         isolas: whether branches beside this one are looked for, of linear stops: what is found is
             in `branch.isolas`. A sweep misses them by nature. They are looked for from random
-            states that settle and by opening and closing all gaps, at 12 values of the range: what
-            is found is there, but there may be others.
+            states that settle and by opening and closing all gaps, at 12 values of the range, and
+            between them where curves of folds come nearest to these gaps: what is found is there,
+            but there may be others.
         settings: `vj.ContinuationSettings(period=..., tolerance=..., ...)`.
         numbers: arguments of the function: a `vj.Range` is followed (exactly one in the call), a
             list is an axis with one branch per value, anything else is fixed.

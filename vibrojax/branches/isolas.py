@@ -2,12 +2,15 @@
 
 Two ways lead to such motions at some values of the parameter. Marches from random states settle on
 stable ones; walks in the opening of all gaps, from a motion of the branch, come by those of the
-same sheet of solutions, stable or not, where they pass the gaps that the rig has.
+same sheet of solutions, stable or not, where they pass the gaps that the rig has. Where such walks
+turn round before, they do so on a curve of folds, by the parameter and the opening: it is followed
+to where it comes nearest to these gaps, as an isola may lie between two values.
 """
 
+from collections.abc import Generator
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -20,6 +23,7 @@ from vibrojax.branches.exact_results import between, columns_of_motions, motions
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
 from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import BranchPoints
+from vibrojax.branches.refining import SOLVED, Stretch
 from vibrojax.branches.resampling import passages_of, resample
 from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
 from vibrojax.branches.walking import Walk
@@ -33,9 +37,16 @@ INSIDE = 1e-3
 LARGEST = 4.0
 """Largest displacement of a start at a stop, over its gap and what the branch reaches."""
 WIDEST = 1.5
-"""Widest opening of the gaps, over twice what the branch reaches; they close by that."""
+"""Widest opening of the gaps, over twice what the branch reaches; they close by that, or until
+none is left."""
 MOST_POINTS = 400
 """Points of a walk in the opening."""
+MOST_ROUNDS = 8
+"""Times that a curve of folds is looked at anew where it seems nearest to the gaps of the rig."""
+PASSED = 1e-9
+"""How near to zero the opening is to come, over what it is at a point of the walk."""
+NEAREST = 1e-3
+"""Share of what is left to the gaps that the next look has to bring, for another one."""
 
 Candidate = tuple[float, Float[np.ndarray, " states"]]
 """Value, and state (q, q') at drive phase 0, of a motion."""
@@ -53,10 +64,14 @@ def isolas_of(plan: Plan, branch: BranchPoints) -> list[BranchPoints]:
     plan = plan._replace(labels=[branch.labels])
     rigs = CurveRigs(branch.path, plan.period)
     at = _motions_of(branch, values)
-    candidates = _settled(branch.path, plan, at) + _by_opening(branch, plan, at)
+    candidates = _settled(branch.path, plan, at) + _on_sheet(branch, plan, at)
+    motions = _solved(plan, rigs, candidates)
+    if not motions:
+        return []
+    values = np.unique([value for value, *_ in motions])
     found: list[BranchPoints] = []
     known = [resample(branch, values)]
-    for value, state, numbers in _solved(plan, rigs, candidates):
+    for value, state, numbers in motions:
         at_value = {branch.axis: value}
         if any((relative_difference(each.sel(at_value), numbers) <= SAME).any() for each in known):
             continue
@@ -113,42 +128,133 @@ def _at_stops(towards_stop: np.ndarray, states: np.ndarray) -> np.ndarray:
     return np.einsum("...sx,...x->...s", towards_stop, states)
 
 
-def _by_opening(
+class Turn(NamedTuple):
+    """Where a walk in the opening turns round before it comes to the gaps of the rig."""
+
+    value: float
+    opening: float
+    """m."""
+    kind: tuple[Any, ...]
+    """The same of all turns that are of one curve of folds."""
+
+
+def _on_sheet(
     branch: BranchPoints, plan: Plan, at: dict[float, tuple[OnCurve, Seen]]
 ) -> list[Candidate]:
-    """Walk in the opening of all gaps from motions: what is passed where it is zero again."""
+    """Motions that walks in the opening come by at some values, and between them."""
+    looked_at, turns = set(at), []
+    candidates: list[Candidate] = []
+    for _ in range(MOST_ROUNDS):
+        found, turned = _by_opening(branch, plan, at)
+        candidates += found
+        turns += turned
+        nearest = _nearest(sorted(looked_at), turns) - looked_at
+        at = _motions_of(branch, np.array(sorted(nearest)))
+        if not at:
+            break
+        looked_at |= set(at)
+    return candidates
+
+
+def _nearest(looked_at: list[float], turns: list[Turn]) -> set[float]:
+    """Values at which curves of folds may come nearest to the gaps of the rig."""
+    curves: dict[tuple[Any, ...], dict[float, float]] = {}
+    for turn in turns:
+        curves.setdefault(turn.kind, {})[turn.value] = turn.opening
+    values = set()
+    for curve in curves.values():
+        for three in zip(looked_at, looked_at[1:], looked_at[2:], strict=False):
+            if not all(value in curve for value in three):
+                continue
+            away = [abs(curve[value]) for value in three]
+            if not away[1] < min(away[0], away[2]):
+                continue
+            curvature, slope, least = np.polyfit(np.array(three) - three[1], away, 2)
+            if slope**2 / (4 * curvature) > NEAREST * least:
+                values.add(three[1] - slope / (2 * curvature))
+    return values
+
+
+def _by_opening(
+    branch: BranchPoints, plan: Plan, at: dict[float, tuple[OnCurve, Seen]]
+) -> tuple[list[Candidate], list[Turn]]:
+    """Walk in the opening of all gaps from motions: what is passed where it is zero again.
+
+    Also where the walks turn round before.
+    """
     if not at:
-        return []
+        return [], []
     assert branch.curve is not None
     values, followed = np.array(list(at)), walk_of(branch.curve, branch.range).search
     local = jax.device_get(localise(branch.path, np.zeros(len(values), int), values, True))
     phases, rigs, jobs = local.phases, CurveRigs(OpenedPath(local.place), plan.period), []
     assert phases is not None  # of linear stops
+    widest = np.max(np.abs(phases.gap), axis=1)
     for k, (motion, _) in enumerate(at.values()):
         state, w = motion.state / followed.unit, local.place.angular_frequency[k]
         scale = 2 * float(reach(phases, k, state, w).max()) + 1e-12
         search = replace(followed, scale=scale)
         start = replace(motion, parameter=0.0, parameter_along=0.0)
         for way in (1.0, -1.0):
-            walk = Walk(search, -scale, WIDEST * scale, plan.longest_step, MOST_POINTS)
+            walk = Walk(
+                search, -max(scale, widest[k]), WIDEST * scale, plan.longest_step, MOST_POINTS
+            )
             jobs.append(Job(_passed(walk, start, way), rigs, k, search.unit, scale))
-    found = run_together(jobs)
-    return [(float(values[job.lane]), s) for job, own in zip(jobs, found, strict=True) for s in own]
+    candidates: list[Candidate] = []
+    turns: list[Turn] = []
+    for job, (states, turned) in zip(jobs, run_together(jobs), strict=True):
+        value = float(values[job.lane])
+        candidates += [(value, state) for state in states]
+        turns += [Turn(value, opening, kind) for opening, kind in turned]
+    return candidates, turns
 
 
-def _passed(walk: Walk, start: OnCurve, way: float) -> Steps:
-    """Walk, and solve for the motions at which the parameter is zero again."""
+def _passed(
+    walk: Walk, start: OnCurve, way: float
+) -> Generator[Any, Any, tuple[list[np.ndarray], list[tuple[float, tuple[Any, ...]]]]]:
+    """Walk, and solve for the motions at which the parameter is zero again.
+
+    Also for those at which it comes nearest to zero, with the way, the stops that are touched and
+    left, and how many were passed before.
+    """
+    states, turned = [], []
     begin = yield from walk.search.solve(walk.search.pinned(start, 0.0))
     if begin is None:
-        return []
+        return states, turned
     yield from walk.go(begin, way)
-    states = []
     for k, (a, b) in enumerate(pairwise(walk.points)):
         if k and a.parameter * b.parameter < 0:
-            _, seen = yield from between(walk, k, 0.0)
-            if seen is not None:
-                states.append(seen.initial_state)
-    return states
+            motions = [(yield from between(walk, k, 0.0))]
+        elif a.parameter_along * a.parameter < 0 < b.parameter_along * b.parameter:
+            opening, motions = yield from _turn(walk, k)
+            if opening is not None:
+                turned.append((opening, (way, a.contacts.stops, len(turned))))
+        else:
+            continue
+        states += [seen.initial_state for _, seen in motions if seen is not None]
+    return states, turned
+
+
+def _turn(walk: Walk, k: int) -> Steps:
+    """Where a walk turns round behind the point k; a motion there with a parameter of zero.
+
+    That is one that is passed twice between the points.
+    """
+    if walk.is_leap(k):
+        return None, []
+    stretch = Stretch(walk, k, walk.touch_in(k))
+    ends = zip(stretch.ends, (m.parameter_along for m in walk.points[k : k + 2]), strict=True)
+    root = yield from stretch.root(lambda m: m.parameter_along, SOLVED["fold"], *ends)
+    begin, fold = walk.points[k], root.motion
+    if fold is None or begin.parameter * fold.parameter > 0:
+        return (None if fold is None else fold.parameter), []
+    place = next(place for place, motion in stretch.known if motion is fold)
+    ends = (stretch.ends[0], begin.parameter), (place, fold.parameter)
+    root = yield from stretch.root(lambda m: m.parameter, PASSED, *ends)
+    if root.motion is None:
+        return fold.parameter, []
+    (seen,) = yield Look([root.motion])
+    return fold.parameter, [(root.motion, seen)]
 
 
 def _solved(
