@@ -58,7 +58,7 @@ def walk_branches(plan: Plan, paths: AbstractPath) -> list[BranchPoints]:
         for k, start in starts.items():
             walks[k], endings[k], note = _both_ways(plan, rigs, k, start)
             notes[k] = f" It was followed from the inside of the range.{begun[k]}{note}"
-    return _results(plan, rigs, paths, walks, endings, notes)
+    return _results(plan, rigs, walks, endings, notes)
 
 
 def _walk_through(
@@ -117,7 +117,7 @@ def walk_from(
     if start is None:
         return None
     walk, ending, note = _both_ways(plan, rigs, 0, start)
-    return _results(plan, rigs, paths, [walk], [ending], [note])[0]
+    return _results(plan, rigs, [walk], [ending], [note])[0]
 
 
 def walk_doubled(
@@ -137,7 +137,7 @@ def walk_doubled(
     if start is None:
         return None
     (ending,) = run_together([_job(walk, rigs, 0, walk.go(start, None))])
-    return _results(plan, rigs, paths, [walk], [ending], [""])[0]
+    return _results(plan, rigs, [walk], [ending], [""])[0]
 
 
 def _job(walk: Walk, rigs: CurveRigs, lane: int, steps: Any) -> Job:
@@ -228,7 +228,6 @@ def _leapt(found: list[Special]) -> str:
 def _results(
     plan: Plan,
     rigs: CurveRigs,
-    paths: AbstractPath,
     walks: list[Walk],
     endings: list[Ending],
     notes: list[str],
@@ -240,7 +239,7 @@ def _results(
     results = []
     for k, walk in enumerate(walks):
         if walk.points:
-            columns = columns_of_motions(paths, k, walk.points, walk.seen, plan.period)
+            columns = columns_of_motions(rigs.paths, k, walk.points, walk.seen, plan.period)
             columns["arclength"] = np.cumsum([point.way for point in walk.points])
         else:
             columns = nothing(len(walk.search.unit))
@@ -248,11 +247,11 @@ def _results(
             branch_of(
                 plan,
                 k,
-                take(paths, np.array([k])),
+                take(rigs.paths, np.array([k])),
                 endings[k],
                 notes[k] + _leapt(special[k]),
                 columns,
-                special_results(paths, k, special[k], plan.period),
+                special_results(rigs.paths, k, special[k], plan.period),
                 ticks=walk.search.asked,
                 curve=curve_of(walk, special[k]),
             )

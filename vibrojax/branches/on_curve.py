@@ -48,6 +48,11 @@ class OnCurve:
         """Floquet multipliers."""
         return np.linalg.eigvals(self.matrix) + 0j
 
+    @cached_property
+    def sizes(self) -> Float[np.ndarray, " states"]:
+        """Moduli of the multipliers, the largest first."""
+        return np.sort(np.abs(self.multipliers))[::-1]
+
     @property
     def size(self) -> float:
         """Of the state, as a length."""

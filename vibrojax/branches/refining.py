@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from vibrojax.branches.contacts import duration_row
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
@@ -40,17 +39,14 @@ class Special(NamedTuple):
     refined: bool
 
 
+Unseen = tuple[str, OnCurve, int, bool]
+"""The same before its motion was marched: kind, motion, point before, whether it is refined."""
 Number = Callable[[OnCurve], float]
-
-
-def _sizes(motion: OnCurve) -> Float[np.ndarray, " states"]:
-    """Moduli of the multipliers, the largest first."""
-    return np.sort(np.abs(motion.multipliers))[::-1]
 
 
 def _crossing(place: int) -> Number:
     """How far the multiplier of this place among the largest is outside of the circle."""
-    return lambda motion: float(_sizes(motion)[place]) - 1.0
+    return lambda motion: float(motion.sizes[place]) - 1.0
 
 
 def _numbers(a: OnCurve, b: OnCurve) -> dict[str, Number]:
@@ -59,7 +55,7 @@ def _numbers(a: OnCurve, b: OnCurve) -> dict[str, Number]:
         "fold": lambda motion: motion.parameter_along,
         "period_doubling": lambda motion: float(doubling_test(motion.multipliers)),
     }
-    outside = sorted(int(np.sum(_sizes(motion) > 1)) for motion in (a, b))
+    outside = sorted(int(np.sum(motion.sizes > 1)) for motion in (a, b))
     if outside[1] - outside[0] >= 2:
         numbers["neimark_sacker"] = _crossing(outside[0])
     return numbers
@@ -69,6 +65,7 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
     """Find all special points of a walk, in order along it."""
     behind = {touch.cell: touch for touch in walk.touches}
     found: list[Special] = []
+    solved: list[Unseen] = []
     for k in range(len(walk.points) - 1):
         if walk.is_leap(k):
             found += _leapt_over(walk, k)
@@ -82,9 +79,13 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
             for kind, number in _numbers(a, b).items():
                 if number(a) * number(b) < 0:
                     part = stretch.root(number, SOLVED[kind], (low, number(a)), (high, number(b)))
-                    special = yield from _refined(walk, k, kind, stretch, part)
-                    if special is not None:
-                        found.append(special)
+                    unseen = yield from _refined(walk, k, kind, stretch, part)
+                    if unseen is not None:
+                        solved.append(unseen)
+    if solved:  # one march of all
+        every = yield Look([motion for _, motion, *_ in solved])
+        for (kind, motion, k, refined), seen in zip(solved, every, strict=True):
+            found.append(Special(kind, motion, seen, k, refined))
     for touch in walk.touches:
         point, seen = walk.points[touch.at], walk.seen[touch.at]
         kind = "contact_change" if touch.stop in point.contacts.stops else "grazing"
@@ -102,7 +103,7 @@ def _leapt_over(walk: Walk, k: int) -> list[Special]:
 def _doubtful(walk: Walk, k: int, stretch: "Stretch") -> list[float]:
     """Places between the points k and k + 1 where multipliers may be on the other side."""
     a, b = walk.points[k], walk.points[k + 1]
-    first, last = _sizes(a), _sizes(b)
+    first, last = a.sizes, b.sizes
     if stretch.touch is not None:
         # Next to a touch they change with the root of the way: they may have come and gone.
         moved = np.abs(first - last)[np.maximum(first, last) > 0.5]
@@ -131,7 +132,7 @@ def _doubtful(walk: Walk, k: int, stretch: "Stretch") -> list[float]:
 
 def _refined(
     walk: Walk, k: int, kind: str, stretch: "Stretch", root: Steps
-) -> Generator[Any, Any, Special | None]:
+) -> Generator[Any, Any, Unseen | None]:
     """Solve for the special point of a kind behind the point k."""
     found = yield from root
     motion, refined = found.motion, found.solved
@@ -142,8 +143,7 @@ def _refined(
     motion = motion or walk.points[k]
     if kind == "neimark_sacker" and not on_circle(motion.multipliers, NEAR_CIRCLE):
         return None
-    (seen,) = yield Look([motion])
-    return Special(kind, motion, seen, k, refined)
+    return kind, motion, k, refined
 
 
 class Stretch:

@@ -12,7 +12,7 @@ from vibrojax.steady.batches import in_batches, take
 from vibrojax.steady.growth import first_tangent
 from vibrojax.steady.kinds import Regime, regime_of
 from vibrojax.steady.observed import observe
-from vibrojax.steady.starting import LANES, prepared
+from vibrojax.steady.starting import prepared
 
 BIFURCATIONS = ("period_doubling", "neimark_sacker")
 LEAVING = 1.03
@@ -21,6 +21,8 @@ PUSH = 1e-3
 """Of the size of the motion, by which it is pushed off the branch."""
 BEFORE, OBSERVED, LONGEST = 500, 160, 16
 """Drive periods marched before, and observed; longest period looked for, over the branch's."""
+SIDE_BY_SIDE = 8
+"""Marches in one call, where there are several: most branches have few."""
 MOST = 32
 """Points of a branch of which it is told: one between chattering motions may have hundreds."""
 RETURN = 1e-5
@@ -112,7 +114,7 @@ def _marched(
         found = observe(march, frequency, start.T, before, limit, *counts, True)
         return found | {"window": counts[0] * 2 * np.pi / frequency}
 
-    found = in_batches(observed, len(lane), 1 if len(lane) == 1 else LANES)
+    found = in_batches(observed, len(lane), 1 if len(lane) == 1 else SIDE_BY_SIDE)
     growth = found["lyapunov_exponent"] * found["window"]
     error = found["lyapunov_standard_error"] * found["window"]
     kinds = regime_of(found["period"], growth, error, found["return_error"], RETURN, found["alive"])

@@ -30,7 +30,7 @@ class Peak(NamedTuple):
     height: Float[Array, " lanes"]
     """What would have to pass zero, m; negative where contact stays as it is."""
     row: Float[Array, "states lanes"]
-    """Its derivatives by the blocks at the beginning."""
+    """Its derivatives, by what those of the passage are."""
     bend: Float[Array, " lanes"]
     """Second derivative by the drive angle, m."""
 
@@ -43,7 +43,8 @@ class Passage(NamedTuple):
     late: Float[Array, "events lanes"]
     """Drive angle, rad, by which the changes of contact are later than was said."""
     matrix: Float[Array, "2 blocks states lanes"]
-    """Derivatives of `blocks` by those at the beginning, the change of the times included."""
+    """Derivatives of `blocks`, the change of the times included: by those at the beginning, or by
+    what these were said to change with."""
     delays: Float[Array, "events states lanes"]
     """Derivatives of the times of the changes, rad."""
     peak: Peak | None
@@ -78,8 +79,18 @@ class KnownContacts:
         self.kick = -damping[:, :, None] * kick
         """Phases, stops, states, lanes."""
 
-    def go_through(self, blocks: Blocks, times: Times, until: Float[Array, " lanes"]) -> Passage:
-        """Go from the section through the changes before a drive angle (rad), and to it."""
+    def go_through(
+        self,
+        blocks: Blocks,
+        times: Times,
+        until: Float[Array, " lanes"],
+        rates: Float[Array, "2 blocks states lanes"] | None = None,
+    ) -> Passage:
+        """Go from the section through the changes before a drive angle (rad), and to it.
+
+        `rates` of the blocks at the beginning are by what derivatives are wanted by; without any
+        they are by the blocks themselves.
+        """
         loop, events = self.loop, self.events
         room, states = len(times), 2 * loop.n
         used = (events.stop >= 0) & (times < until)
@@ -147,11 +158,12 @@ class KnownContacts:
 
         lanes = until.shape
         phase = jnp.broadcast_to(events.first_phase, lanes)
-        matrix = jnp.eye(states).reshape(2, loop.n, states, 1) + jnp.zeros(lanes)
+        if rates is None:
+            rates = jnp.eye(states).reshape(2, loop.n, states, 1) + jnp.zeros(lanes)
         delays = jnp.zeros((room, states, *lanes))
         none = jnp.zeros(lanes)
         peak = None if self.peak is None else Peak(none, jnp.zeros((states, *lanes)), none)
-        begin = blocks, phase, events.section, jnp.zeros((room, *lanes)), matrix, delays, peak
+        begin = blocks, phase, events.section, jnp.zeros((room, *lanes)), rates, delays, peak
         most = jnp.max(jnp.sum(used, axis=0), initial=0)
         end, phase, _, late, matrix, delays, peak = lax.fori_loop(0, most + 1, segment, begin)
         return Passage(end, phase, late, matrix, delays, peak)

@@ -130,39 +130,27 @@ class _Rigs:
     def state(self, at: KnownContacts, blocks: Array, phase: Array, angle: Array) -> Array:
         return self.tries.unit * at.loop.state_of(blocks, phase, angle / at.frequency)
 
-    def passed(self, parameter: Lane, state: States, times: Times):
+    def passed(self, parameter: Lane, state: States, times: Times) -> "_Passed":
         """End of the motion after its period, and its derivatives by all unknowns."""
-
         first, unit = self.tries.events.first_phase, self.tries.unit
 
-        def image(parameter: Lane) -> tuple[Any, tuple[Passage, Array, Array]]:
+        def image(parameter: Lane) -> tuple[Any, tuple[Passage, Array]]:
             at = self.contacts(self.loop(parameter))
-            gone = at.go_through(self.begin(at, state), times, self.until)
+            phases, begin = at.loop.phases, self.begin(at, state)
+            into = lax.stop_gradient(pick(first, phases.from_state)) / unit
+            rates = into.reshape(2, at.loop.n, *into.shape[1:])
+            gone = at.go_through(begin, times, self.until, rates)
             end = self.state(at, gone.blocks, gone.phase, self.until)
             assert gone.peak is not None
-            out, into = (
-                pick(first, a) for a in (at.loop.phases.to_state, at.loop.phases.from_state)
-            )
-            return (end, gone.late, gone.peak.height), (gone, out, into)
+            return (end, gone.late, gone.peak.height), (gone, pick(first, phases.to_state))
 
-        (end, late, height), push, (gone, out, into) = jax.jvp(
+        (end, late, height), push, (gone, out) = jax.jvp(
             image, (parameter,), (jnp.ones_like(parameter),), has_aux=True
         )
-        out, into = unit[:, None] * out, into / unit
-        # By the state, where the passage has derivatives by blocks.
-        across = lambda rows: _times(rows.reshape(rows.shape[0], *into.shape[:1], -1), into)  # noqa: E731
-        matrix = _times(out, across(gone.matrix.reshape(into.shape)))
+        matrix = _times(unit[:, None] * out, gone.matrix.reshape(out.shape))
         assert gone.peak is not None
-        return _Passed(
-            end,
-            late,
-            height,
-            push,
-            matrix,
-            across(gone.delays),
-            across(gone.peak.row[None])[0],
-            gone.peak.bend,
-        )
+        peak = gone.peak
+        return _Passed(end, late, height, push, matrix, gone.delays, peak.row, peak.bend)
 
 
 class _Passed(NamedTuple):
