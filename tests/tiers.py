@@ -180,7 +180,15 @@ SLOW = {
         "test_undamped_motion_has_a_zero_exponent",
         "test_a_second_call_with_other_numbers_does_not_compile_again",
     ),
-    "test_single_contact": ("test_picture",),
+    "test_single_contact": ("test_picture", "test_dataset", "test_response_on_a_grid"),
+    "test_map_chunks": ("test_rigs_of_a_block_are_those_of_single_calls",),
+    "test_map_damage": (
+        "test_what_cannot_be_read_at_all_is_refused_with_what_to_do",
+        "test_a_store_opens_without_a_warning",
+        "test_what_was_added_to_a_store_by_others_is_no_damage",
+        "test_an_interrupted_repair_goes_on",
+        "test_readers_meet_an_error_not_a_wrong_number",
+    ),
     "test_compiling": tuple(
         f"test_nothing_compiles_again[{study}]"
         for study in (
@@ -266,7 +274,10 @@ SLOW = {
         "test_derivative_of_the_propagators[stiffness-one mass overdamped]",
     ),
     "test_signals_in_histories": ("test_samples_are_those_of_the_record",),
-    "test_compiled": ("test_programs_make_room_before_the_kernel_refuses_memory",),
+    "test_compiled": (
+        "test_programs_make_room_before_the_kernel_refuses_memory",
+        "test_what_is_returned_is_known_without_a_program",
+    ),
     "test_states": (
         "test_a_shape_within_the_modes_is_met_exactly",
         "test_another_shape_is_projected_by_the_mass",

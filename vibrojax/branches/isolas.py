@@ -212,10 +212,10 @@ def _by_opening(
 def _passed(
     walk: Walk, start: OnCurve, way: float
 ) -> Generator[Any, Any, tuple[list[np.ndarray], list[tuple[float, tuple[Any, ...]]]]]:
-    """Walk, and solve for the motions at which the parameter is zero again.
+    """Walk, and return the states of motions at which the parameter is zero again.
 
-    Also for those at which it comes nearest to zero, with the way, the stops that are touched and
-    left, and how many were passed before.
+    Also the openings at which it turns round on the way to zero, each with what tells it from the
+    others: the way, the stops that are touched and left, and how many turns came before.
     """
     states, turned = [], []
     begin = yield from walk.search.solve(walk.search.pinned(start, 0.0))
@@ -236,9 +236,10 @@ def _passed(
 
 
 def _turn(walk: Walk, k: int) -> Steps:
-    """Where a walk turns round behind the point k; a motion there with a parameter of zero.
+    """Return the opening at which a walk turns round behind the point k; None where none is found.
 
-    That is one that is passed twice between the points.
+    Where that lies beyond zero, which then is passed twice before the next point, also one of the
+    two motions with what was seen of it.
     """
     if walk.is_leap(k):
         return None, []
@@ -246,8 +247,10 @@ def _turn(walk: Walk, k: int) -> Steps:
     ends = zip(stretch.ends, (m.parameter_along for m in walk.points[k : k + 2]), strict=True)
     root = yield from stretch.root(lambda m: m.parameter_along, SOLVED["fold"], *ends)
     begin, fold = walk.points[k], root.motion
-    if fold is None or begin.parameter * fold.parameter > 0:
-        return (None if fold is None else fold.parameter), []
+    if fold is None:
+        return None, []
+    if begin.parameter * fold.parameter > 0:
+        return fold.parameter, []
     place = next(place for place, motion in stretch.known if motion is fold)
     ends = (stretch.ends[0], begin.parameter), (place, fold.parameter)
     root = yield from stretch.root(lambda m: m.parameter, PASSED, *ends)
