@@ -188,6 +188,7 @@ SLOW = {
         "test_what_was_added_to_a_store_by_others_is_no_damage",
         "test_an_interrupted_repair_goes_on",
         "test_readers_meet_an_error_not_a_wrong_number",
+        "test_a_damaged_chunk_that_fails_now_is_missing_not_wrong",
     ),
     "test_compiling": tuple(
         f"test_nothing_compiles_again[{study}]"
@@ -204,6 +205,7 @@ SLOW = {
             "simulate",
             "history_contacts",
             "history_poincare",
+            "history_dataset",
             "history_spectrum",
             "history_peak",
             "history_energy",
