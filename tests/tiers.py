@@ -311,7 +311,6 @@ LONG = {
         "test_derivatives_are_those_of_differences[reverse]",
     ),
     "test_isolas": (
-        "test_others_are_found_where_there_are_any[4e-05-1]",
         "test_its_folds_are_those_along_the_amplitude",
         "test_what_leaves_the_range_and_comes_back_is_compared_too",
         "test_what_is_on_the_branch_is_no_isola",

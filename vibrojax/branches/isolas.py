@@ -251,8 +251,7 @@ def _turn(walk: Walk, k: int) -> Steps:
         return None, []
     if begin.parameter * fold.parameter > 0:
         return fold.parameter, []
-    place = next(place for place, motion in stretch.known if motion is fold)
-    ends = (stretch.ends[0], begin.parameter), (place, fold.parameter)
+    ends = (stretch.ends[0], begin.parameter), (root.place, fold.parameter)
     root = yield from stretch.root(lambda m: m.parameter, PASSED, *ends)
     if root.motion is None:
         return fold.parameter, []

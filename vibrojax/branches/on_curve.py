@@ -49,7 +49,7 @@ class OnCurve:
         return np.linalg.eigvals(self.matrix) + 0j
 
     @cached_property
-    def sizes(self) -> Float[np.ndarray, " states"]:
+    def moduli(self) -> Float[np.ndarray, " states"]:
         """Moduli of the multipliers, the largest first."""
         return np.sort(np.abs(self.multipliers))[::-1]
 

@@ -46,7 +46,7 @@ Number = Callable[[OnCurve], float]
 
 def _crossing(place: int) -> Number:
     """How far the multiplier of this place among the largest is outside of the circle."""
-    return lambda motion: float(motion.sizes[place]) - 1.0
+    return lambda motion: float(motion.moduli[place]) - 1.0
 
 
 def _numbers(a: OnCurve, b: OnCurve) -> dict[str, Number]:
@@ -55,7 +55,7 @@ def _numbers(a: OnCurve, b: OnCurve) -> dict[str, Number]:
         "fold": lambda motion: motion.parameter_along,
         "period_doubling": lambda motion: float(doubling_test(motion.multipliers)),
     }
-    outside = sorted(int(np.sum(motion.sizes > 1)) for motion in (a, b))
+    outside = sorted(int(np.sum(motion.moduli > 1)) for motion in (a, b))
     if outside[1] - outside[0] >= 2:
         numbers["neimark_sacker"] = _crossing(outside[0])
     return numbers
@@ -103,7 +103,7 @@ def _leapt_over(walk: Walk, k: int) -> list[Special]:
 def _doubtful(walk: Walk, k: int, stretch: "Stretch") -> list[float]:
     """Places between the points k and k + 1 where multipliers may be on the other side."""
     a, b = walk.points[k], walk.points[k + 1]
-    first, last = a.sizes, b.sizes
+    first, last = a.moduli, b.moduli
     if stretch.touch is not None:
         # Next to a touch they change with the root of the way: they may have come and gone.
         moved = np.abs(first - last)[np.maximum(first, last) > 0.5]
@@ -216,16 +216,16 @@ class Stretch:
         It is found to `solved` of the larger of these.
         """
         (low, below), (high, above) = first, last
-        scale, whole, best = max(abs(below), abs(above)), abs(high - low), None
+        scale, whole, best, place = max(abs(below), abs(above)), abs(high - low), None, low
         side = 0
         for _ in range(ROUNDS):
             share = min(max(below / (below - above), 0.02), 0.98)
             middle, motion = yield from self.nearer(low + share * (high - low))
             if motion is None:
                 break
-            best, value = motion, number(motion)
+            best, place, value = motion, middle, number(motion)
             if abs(value) <= solved * scale or abs(high - low) <= 1e-13 * whole:
-                return Root(motion, self.is_at_touch(middle, whole), solved=True)
+                return Root(motion, place, self.is_at_touch(middle, whole), solved=True)
             # The end that stays twice counts half: else it would stay for long.
             if (value > 0) == (below > 0):
                 low, below, above = middle, value, above / 2 if side == 1 else above
@@ -233,7 +233,7 @@ class Stretch:
             else:
                 high, above, below = middle, value, below / 2 if side == -1 else below
                 side = -1
-        return Root(best, self.is_at_touch(max(low, high), whole), solved=False)
+        return Root(best, place, self.is_at_touch(max(low, high), whole), solved=False)
 
     def is_at_touch(self, place: float, whole: float) -> bool:
         """Whether a contact is so short that there is none."""
@@ -245,6 +245,8 @@ class Root(NamedTuple):
 
     motion: OnCurve | None
     """The nearest that was found."""
+    place: float
+    """Of that."""
     at_touch: bool
     """Whether it is the touch at an end of the stretch."""
     solved: bool
