@@ -29,6 +29,7 @@ def computed_once(tick: Int[Array, ""], compute: Callable[[], T]) -> T:
     """
     if not on_cpu():
         return compute()
+    compute = jax.jit(compute)  # is traced once for both uses, which takes long
     shapes = jax.eval_shape(compute)
     return jax.lax.cond(
         tick >= 0, compute, lambda: jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
