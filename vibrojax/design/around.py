@@ -6,6 +6,7 @@ and in the numbers, and so has every place that a condition says: a fold, a peak
 crossed.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -21,6 +22,7 @@ from vibrojax.steady.contact_times import Events, Orbit, Tables, follow_events, 
 from vibrojax.steady.exact_means import contact_fraction, mean_force, mean_square_and_harmonic
 from vibrojax.steady.orbit_reading import look, read_motion, segment_of
 from vibrojax.steady.paths import FrequencyPath, frequency_path
+from vibrojax.stepping.elementary import varied
 from vibrojax.stepping.phase_motion import stop_push
 
 lax = jax.lax
@@ -164,6 +166,7 @@ class _Curve:
             return (unknown - change, found[1].times), (unknown, *found)
 
         start = self.start, jnp.asarray(self.motion.times)
+        start = varied(start, place, numbers, path.unit)
         _, rounds = lax.scan(newton, start, None, length=2 * order)
         unknown, tables, motion = jax.tree.map(lambda a: a[-1] if eqx.is_array(a) else a, rounds)
         return _There(path, unknown, tables, motion)
@@ -255,6 +258,16 @@ def _each(function: Any, paths: Any, slopes: Any, motions: KnownMotion, period: 
     return jax.vmap(one)(paths, slopes, motions)
 
 
+def _with_slopes(function: Callable[[Array, Array], Array], count: int) -> tuple[Array, Array]:
+    """A function of the place and of so many numbers, at none; its derivatives come first by the
+    place, then by each number."""
+
+    def along(way: Array) -> tuple[Array, Array]:
+        return jax.jvp(function, (jnp.zeros(()), jnp.zeros(count)), (way[0], way[1:]))
+
+    return jax.vmap(along, out_axes=(None, 0))(jnp.eye(count + 1))
+
+
 @compiled
 def look_around(paths: Any, slopes: Any, motions: KnownMotion, period: int, means: bool) -> Around:
     """Measure some motions, and how that changes along the curve and with the numbers.
@@ -267,11 +280,8 @@ def look_around(paths: Any, slopes: Any, motions: KnownMotion, period: int, mean
         def measured(place: Array, numbers: Array) -> Array:
             return curve.measured(place, numbers, matrix, 1, means)
 
-        zero, none = jnp.zeros(()), jnp.zeros(count)
-        value, push = jax.linearize(measured, zero, none)
-        ways = jnp.eye(count + 1)
-        along, *by_number = jax.vmap(lambda way: push(way[0], way[1:]))(ways)
-        return Around(value, along, jnp.stack(by_number))
+        value, slopes = _with_slopes(measured, count)
+        return Around(value, slopes[0], slopes[1:])
 
     return _each(one, paths, slopes, motions, period)
 
@@ -294,10 +304,8 @@ def bends_around(
         def along(place: Array, numbers: Array) -> Array:
             return jax.jvp(lambda place: value(place, numbers), (place,), (jnp.ones(()),))[1]
 
-        _, push = jax.linearize(along, jnp.zeros(()), jnp.zeros(count))
-        ways = jnp.eye(count + 1)
-        bend, *by_number = jax.vmap(lambda way: push(way[0], way[1:]))(ways)
-        return Bends(bend, jnp.stack(by_number))
+        _, bends = _with_slopes(along, count)
+        return Bends(bends[0], bends[1:])
 
     return _each(one, paths, slopes, motions, period)
 
@@ -331,9 +339,8 @@ def multipliers_around(
             real, imaginary = (jax.jvp(end, (zero,), (w,))[1] for w in (right.real, right.imag))
             return jnp.log(jnp.sum(jnp.conj(left) * (real + 1j * imaginary))).real
 
-        _, push = jax.linearize(logarithm, jnp.zeros(()), jnp.zeros(count))
-        along, *by_number = jax.vmap(lambda way: push(way[0], way[1:]))(jnp.eye(count + 1))
-        return MultiplierSlopes(along, jnp.stack(by_number))
+        _, slopes = _with_slopes(logarithm, count)
+        return MultiplierSlopes(slopes[0], slopes[1:])
 
     def each(path: Any, slope: Any, motion: KnownMotion, left: Array, right: Array) -> Any:
         curve = _Curve(path, slope, motion, period)

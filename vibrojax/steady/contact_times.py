@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
 
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.stepping.contact_phases import ContactPhases, forced_blocks, resonant_blocks
+from vibrojax.stepping.elementary import varied
 from vibrojax.stepping.forcing import steady_readout
 from vibrojax.stepping.phase_motion import driven_blocks, free_blocks, stop_push
 
@@ -217,6 +218,7 @@ def follow_events(
         )
 
     steps = size if count is None else jnp.minimum(count, room) + 1
+    start = varied(start, tables.angular_frequency, orbit.state)
     end, phase, _, times, passed, blocks, starts, ends, push = lax.fori_loop(
         0, steps, segment, start
     )

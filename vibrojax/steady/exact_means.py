@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax.steady.contact_times import PiecewiseMotion, Tables
+from vibrojax.stepping.elementary import varied
 
 Terms = Complex[Array, " terms"]
 
@@ -70,7 +71,7 @@ def mean_square_and_harmonic(
         harmonic = harmonic * jnp.exp(-1j * motion.start[j])
         return sums[0] + square.real * angle, sums[1] + harmonic * angle
 
-    zero = jnp.zeros_like(w)
+    zero = varied(jnp.zeros_like(w), w)
     segments = motion.start.size if count is None else count
     square, harmonic = jax.lax.fori_loop(0, segments, add, (zero, zero + 0j))
     whole = 2 * np.pi * period
@@ -103,7 +104,7 @@ def mean_force(
             total = total + jnp.where(held, force * angle, 0.0)
         return total
 
-    total = jax.lax.fori_loop(0, count, add, jnp.zeros_like(w))
+    total = jax.lax.fori_loop(0, count, add, varied(jnp.zeros_like(w), w))
     return total / (2 * np.pi * period)
 
 

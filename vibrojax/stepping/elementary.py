@@ -46,6 +46,18 @@ def where_needed(needed: Bool[Array, ""], compute: Callable[[], T], otherwise: T
     return jax.lax.cond(needed, compute, lambda: otherwise)
 
 
+def varied(start: T, *numbers: Float[Array, "..."]) -> T:
+    """Return what a loop starts with as if all of it depended on some numbers.
+
+    JAX tries what of a loop has derivatives and lanes, and traces the body anew for every trial:
+    where all that will depend on the numbers does from the start, the first is right.
+    """
+    number = sum(jnp.ravel(number)[0] for number in numbers)
+    return jax.tree.map(
+        lambda a: jnp.where(False, jnp.asarray(number, jnp.asarray(a).dtype), a), start
+    )
+
+
 def apply_matrix(
     matrix: Float[Array, "rows columns *#lanes"], vector: Float[Array, "columns *#lanes"]
 ) -> Float[Array, "rows *#lanes"]:
