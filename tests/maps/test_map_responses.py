@@ -149,8 +149,9 @@ def test_derivatives_of_sweeps():
 
 
 @pytest.mark.slow
-def test_derivatives_of_jumps_are_those_of_their_folds():
-    """A coarse grid: the folds lie far from its points."""
+@pytest.mark.parametrize("settle", ["follow", pytest.param("march", marks=pytest.mark.long)])
+def test_derivatives_of_jumps_are_those_of_their_folds(settle):
+    """A coarse grid: the folds lie far from its points. Marched to, they are searched for."""
 
     def two_modes(gap):
         return dataclasses.replace(rig(gap), num_modes=2)
@@ -159,7 +160,7 @@ def test_derivatives_of_jumps_are_those_of_their_folds():
         two_modes,
         frequency_ratio=[1.0, 1.1, 1.15, 1.2, 1.3],
         gap=GAPS,
-        response=SWEEP,
+        response=dataclasses.replace(SWEEP, settle=settle),
         measures=["jump_up", "jump_down", "hysteresis_width", "natural_frequency"],
         gradients="gap",
     )

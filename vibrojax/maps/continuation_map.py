@@ -88,7 +88,7 @@ class ContinuationMap(AbstractMapResponse):
             points=Points(np.stack(states), np.where(found, self.settings.period, 0)),
             lane_status=np.where(done, 0, 1),
             lane_steps=np.array([b.ticks for b in branches], np.int64),
-            folds={"fold": Folds(fold_states, free, self.settings.period)},
+            folds={"fold": Folds(fold_states, free, np.full(free.shape, self.settings.period))},
         )
 
     def _resampled(self, branch: BranchPoints, values: np.ndarray) -> tuple[dict, np.ndarray]:

@@ -192,19 +192,21 @@ def fold_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes:
         value = computed.numbers[variable]
         there = np.isfinite(value) & np.isfinite(folds.states).all(axis=-1)
         slope = np.full((*value.shape, len(rigs.names)), np.nan)
-        for chosen in (there & folds.free, there & ~folds.free):
-            if chosen.any():
-                lane, place, states = np.nonzero(chosen)[0], value[chosen], folds.states[chosen]
-                if folds.free[chosen].all():
-                    own, slopes = _of_touches(rigs, lane, place, grid)
-                elif folds.period is None:
+        solved = folds.period > 0
+        for chosen in (there & folds.free, *(there & ~folds.free & s for s in (solved, ~solved))):
+            if not chosen.any():
+                continue
+            lane, place, states = np.nonzero(chosen)[0], value[chosen], folds.states[chosen]
+            if folds.free[chosen].all():
+                own, slopes = _of_touches(rigs, lane, place, grid)
+            else:
+                own, period = place, folds.period[chosen]
+                if not period.all():
                     own, states = _nearest_folds(rigs, lane, place, states, grid)
-                    slopes = _of_folds(rigs, lane, own, states, 1, grid)
-                else:
-                    own, slopes = place, _of_folds(rigs, lane, place, states, folds.period, grid)
-                # What was found is another one where it lies elsewhere.
-                same = np.abs(own / place - 1) < SAME
-                slope[chosen] = np.where(same[:, None], slopes, np.nan)
+                slopes = _of_folds(rigs, lane, own, states, np.maximum(period, 1), grid)
+            # What was found is another one where it lies elsewhere.
+            same = np.abs(own / place - 1) < SAME
+            slope[chosen] = np.where(same[:, None], slopes, np.nan)
         for k, name in enumerate(rigs.names):
             found[name][variable] = slope[..., k]
     return found
@@ -243,15 +245,14 @@ def _of_folds(
     lane: np.ndarray,
     place: np.ndarray,
     states: np.ndarray,
-    period: int,
+    periods: np.ndarray,
     grid: Grid,
 ) -> np.ndarray:
     """Return derivatives (folds, numbers) of the places of folds; NaN where a motion is none."""
     slopes = np.full((len(lane), len(rigs.names)), np.nan)
     known = np.flatnonzero(np.isfinite(place))
     if len(known):
-        periods = np.full(len(known), period)
-        at = _at_points(rigs, lane[known], place[known], grid, states[known], periods)
+        at = _at_points(rigs, lane[known], place[known], grid, states[known], periods[known])
         # Who was given up on the way has no matrix, which numpy would refuse for all.
         lost = ~np.isfinite(at.matrix).all(axis=(1, 2), keepdims=True)
         left, sizes, _ = np.linalg.svd(np.where(lost, np.eye(at.matrix.shape[1]), at.matrix))

@@ -47,15 +47,15 @@ class Points(NamedTuple):
 
 
 class Folds(NamedTuple):
-    """Motions next to the folds or touches at which a lane jumps."""
+    """Motions at the folds or touches at which a lane jumps, or next to them."""
 
     states: Float[np.ndarray, "lanes ... states"]
     """(q, q') at drive phase 0; NaN where there is none."""
     free: Bool[np.ndarray, "lanes ..."]
     """Whether the motion does not touch: the jump is where it begins to."""
-    period: int | None = None
-    """Drive periods after which motions return that are the folds themselves; None where they are
-    only next to them."""
+    period: Int[np.ndarray, "lanes ..."]
+    """Drive periods after which motions return that are the folds themselves; 0 where they are only
+    next to them."""
 
 
 class Computed(NamedTuple):

@@ -74,5 +74,5 @@ class SweepMap(AbstractMapResponse):
             points=Points(swept.states, np.where(settled, curves["period"], 0)),
             lane_status=worst_of(curves["status"]),
             lane_steps=curves["steps"].sum(axis=(1, 2), dtype=np.int64),
-            folds={n: Folds(*before) for n, before in before_jumps(swept).items()},
+            folds={name: Folds(*before) for name, before in before_jumps(swept).items()},
         )

@@ -121,20 +121,22 @@ def sweep_rigs(
     return swept
 
 
-def before_jumps(swept: Swept) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def before_jumps(swept: Swept) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return the states from which the response jumps up and down, and whether they touch nothing.
 
-    States have the shape (rigs, states), NaN where there is no jump.
+    States have the shape (rigs, states), NaN where there is no jump. The third array is 1 where the
+    state is that of the fold itself, which returns after a drive period, else 0.
     """
     found, jumps = {}, swept.jumps
     for name, wanted in (("jump_up", jumps.rises), ("jump_down", ~jumps.rises)):
         states = np.full((len(swept.states), swept.states.shape[-1]), np.nan)
-        free = np.zeros(len(states), bool)
+        free, fold = np.zeros(len(states), bool), np.zeros(len(states), np.int64)
         rig, way = np.nonzero(jumps.exists & wanted)
         at_fold = np.diff(jumps.bracket[rig, way])[:, 0] == 0
         force = swept.curves["contact_force"][rig, way, jumps.before[rig, way]]
         states[rig], free[rig] = jumps.state[rig, way], (force == 0) & ~at_fold
-        found[name] = states, free
+        fold[rig] = at_fold
+        found[name] = states, free, fold
     return found
 
 
