@@ -31,7 +31,7 @@ def crossed():
 
 
 def assert_same(one, other, rtol=1e-7):
-    """All variables but the cost, which hangs on rounding."""
+    """All variables but the cost, which depends on rounding."""
     for name in one.data_vars:
         if not name.endswith("steps"):
             np.testing.assert_allclose(
