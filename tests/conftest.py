@@ -1,5 +1,6 @@
 """Shared set-up: shapes of every annotated array are checked while the tests run."""
 
+import gc
 import inspect
 import os
 import signal
@@ -46,6 +47,11 @@ def pytest_collection_modifyitems(items):
     # Quick ones first, so that a run fails early; then files of many tests, as few fill up gaps.
     many = Counter(item.path for item in items)
     items.sort(key=lambda item: (item.get_closest_marker("quick") is None, -many[item.path]))
+
+
+def pytest_unconfigure():
+    """Let a process end without looking through all that JAX has made, which takes seconds."""
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True, scope="module")

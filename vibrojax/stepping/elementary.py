@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from vibrojax._tools.types import AnyArray
+
 T = TypeVar("T")
 
 FEW = 16
@@ -46,7 +48,7 @@ def where_needed(needed: Bool[Array, ""], compute: Callable[[], T], otherwise: T
     return jax.lax.cond(needed, compute, lambda: otherwise)
 
 
-def varied(start: T, *numbers: Float[Array, "..."]) -> T:
+def varied(start: T, *numbers: Float[AnyArray, "..."]) -> T:
     """Return what a loop starts with as if all of it depended on some numbers.
 
     JAX tries what of a loop has derivatives and lanes, and traces the body anew for every trial:
