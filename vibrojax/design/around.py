@@ -259,8 +259,8 @@ def _each(function: Any, paths: Any, slopes: Any, motions: KnownMotion, period: 
 
 
 def _with_slopes(function: Callable[[Array, Array], Array], count: int) -> tuple[Array, Array]:
-    """A function of the place and of so many numbers, at none; its derivatives come first by the
-    place, then by each number."""
+    """Value at zero of a function of the place and of so many numbers, and its derivatives: first by
+    the place, then by each number."""
 
     def along(way: Array) -> tuple[Array, Array]:
         return jax.jvp(function, (jnp.zeros(()), jnp.zeros(count)), (way[0], way[1:]))
