@@ -259,8 +259,10 @@ def _each(function: Any, paths: Any, slopes: Any, motions: KnownMotion, period: 
 
 
 def _with_slopes(function: Callable[[Array, Array], Array], count: int) -> tuple[Array, Array]:
-    """Value at zero of a function of the place and of so many numbers, and its derivatives: first by
-    the place, then by each number."""
+    """Value at zero of a function of the place and of so many numbers, and its derivatives.
+
+    These come first by the place, then by each number.
+    """
 
     def along(way: Array) -> tuple[Array, Array]:
         return jax.jvp(function, (jnp.zeros(()), jnp.zeros(count)), (way[0], way[1:]))
