@@ -1,7 +1,7 @@
 """What users call, on a GPU: maps, their derivatives, regimes, basins and a branch.
 
-    python benchmarks/gpu_studies.py                # all, one after the other
-    python benchmarks/gpu_studies.py map regimes    # these
+    python benchmarks/gpu_studies.py                       # all, one after the other
+    python benchmarks/gpu_studies.py --only map regimes    # these
 
 Each study runs twice on what JAX finds, the second time without compiling, and once more on the
 processor with few of the rigs (a process of its own). Printed are the seconds, how many whole
@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -37,31 +38,26 @@ OWN = {
 order where moduli are equal."""
 
 
-def a_map(every: int) -> xr.Dataset:
+def of_sweeps(every: int, **more: Any) -> xr.Dataset:
     return vj.parameter_map(
         vj.default_rig,
         frequency_ratio=RATIOS,
         response=SWEEP,
         keep_curves=True,
         progress=False,
-        taper=np.linspace(0, 0.75, 4),
         gap=GAPS[::every],
         stiffness=STIFFNESSES[::every],
+        **more,
     )
+
+
+def a_map(every: int) -> xr.Dataset:
+    return of_sweeps(every, taper=np.linspace(0, 0.75, 4))
 
 
 def gradients(every: int) -> xr.Dataset:
-    return vj.parameter_map(
-        vj.default_rig,
-        frequency_ratio=RATIOS,
-        response=SWEEP,
-        measures=["peak_amplitude_ratio"],
-        gradients=["gap", "stiffness"],
-        keep_curves=True,
-        progress=False,
-        gap=GAPS[::every],
-        stiffness=STIFFNESSES[::every],
-    )
+    names = ["gap", "stiffness"]
+    return of_sweeps(every, measures=["peak_amplitude_ratio"], gradients=names)
 
 
 def regimes(every: int) -> xr.Dataset:
@@ -91,7 +87,7 @@ STUDIES |= {"branch": branch}
 def on_the_processor(name: str) -> xr.Dataset:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "few.nc"
-        command = [sys.executable, __file__, name, "--few", str(path)]
+        command = [sys.executable, __file__, "--only", name, "--few", str(path)]
         subprocess.run(command, check=True, env=os.environ | {"JAX_PLATFORMS": "cpu"})
         with xr.load_dataset(path, engine="h5netcdf") as few:
             return few
@@ -117,14 +113,14 @@ def compared(found: xr.Dataset, few: xr.Dataset) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", choices=[[], *STUDIES], default=list(STUDIES))
+    parser.add_argument("--only", nargs="+", choices=STUDIES, default=list(STUDIES))
     parser.add_argument("--few", help="keep what few rigs give in this file, and say nothing")
     options = parser.parse_args()
     if options.few:
-        STUDIES[options.names[0]](FEW).to_netcdf(options.few, engine="h5netcdf")
+        STUDIES[options.only[0]](FEW).to_netcdf(options.few, engine="h5netcdf")
         return
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}")
-    for name in options.names:
+    for name in options.only:
         seconds = []
         for _ in range(2):
             started = time.perf_counter()
