@@ -148,28 +148,38 @@ def test_derivatives_of_sweeps():
     assert found.d_peak_d_stiffness.attrs["units"] == "1/(N/m)"
 
 
+@pytest.fixture(scope="module")
+def slopes_of_folds():
+    """Derivatives of the frequencies of the folds, down and up, with respect to the gap."""
+
+    def one(gap):
+        branches = (
+            vj.continue_response(rig(gap * by), frequency_ratio=vj.Range(1.0, 1.3))
+            for by in (0.999, 1.001)
+        )
+        a, b = (branch.folds for branch in branches)
+        return (max(b) - max(a)) / (0.002 * gap), (min(b) - min(a)) / (0.002 * gap)
+
+    return [one(gap) for gap in GAPS]
+
+
 @pytest.mark.slow
-def test_derivatives_of_jumps_are_those_of_their_folds():
-    """A coarse grid: the folds lie far from its points."""
+@pytest.mark.parametrize("settle", ["follow", "march"])
+def test_derivatives_of_jumps_are_those_of_their_folds(settle, slopes_of_folds):
+    """A coarse grid: folds lie far from its points, and touches between them, which are passed.
 
-    def two_modes(gap):
-        return dataclasses.replace(rig(gap), num_modes=2)
-
+    Folds have been solved for, or are looked for next to where motions jump that are marched to.
+    """
     jumps = vj.parameter_map(
-        two_modes,
+        rig,
         frequency_ratio=[1.0, 1.1, 1.15, 1.2, 1.3],
         gap=GAPS,
-        response=SWEEP,
+        response=dataclasses.replace(SWEEP, settle=settle),
         measures=["jump_up", "jump_down", "hysteresis_width", "natural_frequency"],
         gradients="gap",
     )
     assert jumps.d_jump_down_d_gap.attrs["units"] == "1/m"
-    for k, gap in enumerate(GAPS):
-        a, b = (
-            vj.continue_response(two_modes(gap * by), frequency_ratio=vj.Range(1.0, 1.3)).folds
-            for by in (0.999, 1.001)
-        )
-        down, up = ((max(b) - max(a)) / (0.002 * gap), (min(b) - min(a)) / (0.002 * gap))
+    for k, (down, up) in enumerate(slopes_of_folds):
         assert float(jumps.d_jump_down_d_gap[k]) == pytest.approx(down, rel=1e-2)
         assert float(jumps.d_jump_up_d_gap[k]) == pytest.approx(up, rel=1e-2)
         assert float(jumps.d_hysteresis_width_d_gap[k]) == pytest.approx(down - up, rel=1e-2)

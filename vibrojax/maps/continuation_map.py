@@ -77,18 +77,26 @@ class ContinuationMap(AbstractMapResponse):
         stacked = jax.tree.map(lambda *a: np.stack(a), *curves)
         found = np.isfinite(stacked["amplitude_ratio"])
         done = np.array([b.completed for b in branches])
-        fold_states, free = map(np.stack, zip(*map(_folds, branches), strict=True))
+        fold = np.stack([_places(b.folds) for b in branches])
+        states_there, free = map(np.stack, zip(*map(_folds, branches), strict=True))
         return Computed(
             curves=stacked,
             numbers={
-                "fold": np.stack([_places(b.folds) for b in branches]),
+                "fold": fold,
                 "grazing": np.stack([_places(b.grazings) for b in branches]),
                 "natural_frequency": np.array([b.natural_frequency for b in branches]),
             },
             points=Points(np.stack(states), np.where(found, self.settings.period, 0)),
             lane_status=np.where(done, 0, 1),
             lane_steps=np.array([b.ticks for b in branches], np.int64),
-            folds={"fold": Folds(fold_states, free, np.full(free.shape, self.settings.period))},
+            folds={
+                "fold": Folds(
+                    bracket=np.stack([fold, fold], axis=-1),
+                    states=states_there,
+                    free=free,
+                    period=np.full(free.shape, self.settings.period),
+                )
+            },
         )
 
     def _resampled(self, branch: BranchPoints, values: np.ndarray) -> tuple[dict, np.ndarray]:

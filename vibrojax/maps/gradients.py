@@ -16,14 +16,14 @@ import numpy as np
 from jaxtyping import Array
 
 from vibrojax._tools.compiled import compiled
-from vibrojax.branches.folds import Fold, fold_response
 from vibrojax.branches.special_points import touch_near
 from vibrojax.ensemble.slopes import WithSlopes, systems_with_slopes, with_slopes
 from vibrojax.maps.measures import STEPWISE, Curve, Measure
-from vibrojax.maps.responses import Computed, Grid
+from vibrojax.maps.responses import Computed, Folds, Grid
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.maps.template import DIFFERENTIATED
 from vibrojax.steady.batches import in_batches, take_rigs
+from vibrojax.steady.fold_ahead import folds_within
 from vibrojax.steady.paths import frequency_path
 from vibrojax.stepping.measures import ratios_of
 from vibrojax.stepping.prepared_rigs import Prepared, Rigs, prepare
@@ -31,14 +31,14 @@ from vibrojax.stepping.stepper import AbstractStepper
 
 lax = jax.lax
 
-FOLD_WIDTH = 16
-"""Folds solved for side by side."""
+TOUCH_WIDTH = 16
+"""Touches solved for side by side."""
 TOGETHER = 8
 """Most derivatives that are carried side by side through a march: each has tables of its own."""
 SINGULAR = 1e-2
 """Smallest singular value below which a motion is a fold, in units of energy."""
 SAME = 1e-2
-"""Relative distance up to which a fold is taken for the one behind a jump."""
+"""Relative distance up to which a touch is taken for the one behind a jump."""
 
 Slopes = dict[str, dict[str, np.ndarray]]
 """By the name of the number, then by variable."""
@@ -166,12 +166,6 @@ def curve_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes
 
 
 @compiled
-def _folds_near(systems, near, axis) -> Fold:
-    """The folds behind jumps."""
-    return jax.vmap(lambda system, near: fold_response(system, near, axis=axis))(systems, near)
-
-
-@compiled
 def _touch_slopes(systems, slopes, value, is_ratio) -> tuple[Array, Array]:
     """Frequencies of touches, and their derivatives (touches, numbers)."""
 
@@ -192,73 +186,51 @@ def fold_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes:
         value = computed.numbers[variable]
         there = np.isfinite(value) & np.isfinite(folds.states).all(axis=-1)
         slope = np.full((*value.shape, len(rigs.names)), np.nan)
-        solved = folds.period > 0
-        for chosen in (there & folds.free, *(there & ~folds.free & s for s in (solved, ~solved))):
-            if not chosen.any():
-                continue
-            lane, place, states = np.nonzero(chosen)[0], value[chosen], folds.states[chosen]
-            if folds.free[chosen].all():
-                own, slopes = _of_touches(rigs, lane, place, grid)
-            else:
-                own, period = place, folds.period[chosen]
-                if not period.all():
-                    own, states = _nearest_folds(rigs, lane, place, states, grid)
-                slopes = _of_folds(rigs, lane, own, states, np.maximum(period, 1), grid)
-            # What was found is another one where it lies elsewhere.
-            same = np.abs(own / place - 1) < SAME
-            slope[chosen] = np.where(same[:, None], slopes, np.nan)
+        for free, slopes_of in ((True, _of_touches), (False, _of_folds)):
+            chosen = np.nonzero(there & (folds.free == free))
+            if len(chosen[0]):
+                own = Folds(*(a[chosen] for a in folds))
+                slope[chosen] = slopes_of(rigs, chosen[0], own, grid)
         for k, name in enumerate(rigs.names):
             found[name][variable] = slope[..., k]
     return found
 
 
-def _of_touches(
-    rigs: Differentiated, lane: np.ndarray, place: np.ndarray, grid: Grid
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and derivatives (touches, numbers) of touches of the free motion."""
+def _of_touches(rigs: Differentiated, lane: np.ndarray, folds: Folds, grid: Grid) -> np.ndarray:
+    """Return derivatives (touches, numbers) of the places of touches; NaN where there is none."""
     systems = jax.device_get(rigs.systems)
+    place = folds.bracket.mean(axis=1)
 
     def some(i):
         own = jax.tree.map(lambda a: a[lane[i]], systems)
         return _touch_slopes(own.made, own.slopes, place[i], grid.axis == "frequency_ratio")
 
-    return in_batches(some, len(lane), FOLD_WIDTH)
+    found, slopes = in_batches(some, len(lane), TOUCH_WIDTH)
+    # What was found is another one where it lies elsewhere.
+    return np.where(np.abs(found / place - 1)[:, None] < SAME, slopes, np.nan)
 
 
-def _nearest_folds(
-    rigs: Differentiated, lane: np.ndarray, place: np.ndarray, states: np.ndarray, grid: Grid
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and states of the folds near some motions; NaN where there is none."""
-    systems = jax.device_get(rigs.systems.made)
-
-    def some(i):
-        zero, known = jnp.zeros(len(i)), jnp.ones(len(i), bool)
-        near = Fold(jnp.asarray(place[i]), zero, zero, jnp.asarray(states[i]), known)
-        return _folds_near(jax.tree.map(lambda a: a[lane[i]], systems), near, grid.axis)
-
-    folds = in_batches(some, len(lane), FOLD_WIDTH)
-    return folds.parameter, folds.initial_state
-
-
-def _of_folds(
-    rigs: Differentiated,
-    lane: np.ndarray,
-    place: np.ndarray,
-    states: np.ndarray,
-    periods: np.ndarray,
-    grid: Grid,
-) -> np.ndarray:
+def _of_folds(rigs: Differentiated, lane: np.ndarray, folds: Folds, grid: Grid) -> np.ndarray:
     """Return derivatives (folds, numbers) of the places of folds; NaN where a motion is none."""
+    place, states = folds.bracket[:, 0].copy(), folds.states.copy()
+    near = np.flatnonzero(np.diff(folds.bracket)[:, 0] != 0)
+    if len(near):
+        unit = np.asarray(rigs.prepared.first_frequency)[lane[near]]
+        unit = unit if grid.axis == "frequency_ratio" else np.full_like(unit, 2 * np.pi)
+        given = lane[near], states[near], folds.bracket[near] * unit[:, None]
+        fold, states[near] = folds_within(rigs.prepared.march, *given)
+        place[near] = np.where(folds.period[near] == 1, fold / unit, np.nan)
     slopes = np.full((len(lane), len(rigs.names)), np.nan)
     known = np.flatnonzero(np.isfinite(place))
     if len(known):
-        at = _at_points(rigs, lane[known], place[known], grid, states[known], periods[known])
+        own = lane[known], place[known], grid, states[known], folds.period[known]
+        at = _at_points(rigs, *own)
         # Who was given up on the way has no matrix, which numpy would refuse for all.
         lost = ~np.isfinite(at.matrix).all(axis=(1, 2), keepdims=True)
         left, sizes, _ = np.linalg.svd(np.where(lost, np.eye(at.matrix.shape[1]), at.matrix))
         still = left[:, None, :, -1]  # on which the return does not depend
-        own = -(still @ at.by_number)[:, 0] / (still @ at.by_value[:, :, None])[:, 0]
-        slopes[known] = np.where(sizes[:, -1:] < SINGULAR, own, np.nan)
+        slope = -(still @ at.by_number)[:, 0] / (still @ at.by_value[:, :, None])[:, 0]
+        slopes[known] = np.where(sizes[:, -1:] < SINGULAR, slope, np.nan)
     return slopes
 
 

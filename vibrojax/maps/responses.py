@@ -49,13 +49,15 @@ class Points(NamedTuple):
 class Folds(NamedTuple):
     """Motions at the folds or touches at which a lane jumps, or next to them."""
 
+    bracket: Float[np.ndarray, "lanes ... 2"]
+    """Between which values of the axis: the motion is on its branch at the first. No width where it
+    is that of the fold itself; NaN where there is none."""
     states: Float[np.ndarray, "lanes ... states"]
-    """(q, q') at drive phase 0; NaN where there is none."""
+    """(q, q') at drive phase 0, at the first of these values."""
     free: Bool[np.ndarray, "lanes ..."]
     """Whether the motion does not touch: the jump is where it begins to."""
     period: Int[np.ndarray, "lanes ..."]
-    """Drive periods after which motions return that are the folds themselves; 0 where they are only
-    next to them."""
+    """Drive periods after which the motion returns; 0 where it has not settled."""
 
 
 class Computed(NamedTuple):

@@ -1,6 +1,7 @@
 """Sweeps as the response of a map: every lane followed along the frequency."""
 
 import numpy as np
+from jaxtyping import Bool
 
 from vibrojax.ensemble.frequencies import DIRECTIONS
 from vibrojax.maps.responses import (
@@ -19,8 +20,9 @@ from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
 from vibrojax.stepping.stepper import AbstractStepper
 from vibrojax.sweep.frequency_response import CURVES
+from vibrojax.sweep.plan import Swept
 from vibrojax.sweep.settings import SweepSettings
-from vibrojax.sweep.swept_lanes import before_jumps, compile_ahead, numbers_of_jumps, sweep_rigs
+from vibrojax.sweep.swept_lanes import compile_ahead, numbers_of_jumps, sweep_rigs
 
 
 class SweepMap(AbstractMapResponse):
@@ -74,5 +76,26 @@ class SweepMap(AbstractMapResponse):
             points=Points(swept.states, np.where(settled, curves["period"], 0)),
             lane_status=worst_of(curves["status"]),
             lane_steps=curves["steps"].sum(axis=(1, 2), dtype=np.int64),
-            folds={name: Folds(*before) for name, before in before_jumps(swept).items()},
+            folds={
+                "jump_up": _behind(swept, swept.jumps.rises),
+                "jump_down": _behind(swept, ~swept.jumps.rises),
+            },
         )
+
+
+def _behind(swept: Swept, wanted: Bool[np.ndarray, "rigs directions"]) -> Folds:
+    """Return the motions from which the responses jump, up or down."""
+    jumps, count = swept.jumps, len(swept.states)
+    found = Folds(
+        bracket=np.full((count, 2), np.nan),
+        states=np.full((count, swept.states.shape[-1]), np.nan),
+        free=np.zeros(count, bool),
+        period=np.zeros(count, np.int64),
+    )
+    rig, way = np.nonzero(jumps.exists & wanted)
+    bracket, period = jumps.bracket[rig, way], swept.curves["period"]
+    at_fold = np.diff(bracket)[:, 0] == 0
+    found.bracket[rig], found.states[rig] = bracket, jumps.state[rig, way]
+    found.free[rig] = jumps.free[rig, way] & ~at_fold
+    found.period[rig] = np.where(at_fold, 1, period[rig, way, jumps.before[rig, way]])
+    return found

@@ -299,6 +299,20 @@ def folds_ahead(
     return found, states
 
 
+def folds_within(
+    march: AbstractMarch,
+    rig: Int[np.ndarray, " lanes"],
+    state: Float[np.ndarray, "lanes states"],
+    bracket: Float[np.ndarray, "lanes 2"],
+) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, "lanes states"]]:
+    """Return `folds_ahead` of motions that leave their branches somewhere in a bracket, rad/s.
+
+    They are on them at its first end. A fold may lie somewhat further on than the bracket.
+    """
+    way = np.diff(bracket)[:, 0] / FIRST_STEP
+    return folds_ahead(march, rig, state, bracket[:, 0], way, np.zeros(len(rig), bool))
+
+
 def compile_fold_ahead(march: AbstractMarch, lanes: int) -> None:
     """Compile in the background what folds of so many lanes, or fewer, are looked for with.
 

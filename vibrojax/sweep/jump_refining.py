@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.steady.fold_ahead import FIRST_STEP, folds_ahead
+from vibrojax.steady.fold_ahead import folds_ahead, folds_within
 from vibrojax.steady.settled import Onwards, Settled
 from vibrojax.steady.touch_ahead import touches_ahead
 from vibrojax.stepping.prepared_rigs import Prepared
@@ -62,6 +62,7 @@ class _Bisection:
         self.start, self.end, self.settled_before = leaving.amplitude.copy(), end, settled_before
         self.across, self.whole = end.copy(), np.abs(end - self.start)  # at the high end; of all
         self.state, self.unit, self.reference = leaving.state, leaving.unit, leaving.reference
+        self.free = leaving.free
         self.width, self.last = width, self.low + EXTENSIONS * (self.high - self.low)
         self.step, self.first, self.fold = width.copy(), leaving.first, leaving.fold
         self.stage = np.where(np.isnan(self.first), HALVE, FIRST)
@@ -93,6 +94,7 @@ class _Bisection:
         self.start[k] = np.where(same, value, self.start[k])
         self.across[k] = np.where(same, self.across[k], value)
         self.state[k] = np.where(same[:, None], arrived.state, self.state[k])
+        self.free[k] = np.where(same, found["contact_force"] == 0, self.free[k])
         self.step[k] = np.where(same & (stage == EXPAND), 2 * self.step[k], self.width[k])
         narrow = np.abs(self.high[k] - self.low[k]) <= 1.000001 * np.abs(self.width[k])
         over = np.abs(self.last[k] - self.low[k]) <= np.abs(self.step[k])
@@ -130,7 +132,7 @@ def refine(
         amplitude=curves["amplitude_ratio"][at],
         first=np.full(len(rig), np.nan),
         fold=np.full(len(rig), np.nan),
-        free=curves["contact_force"][at] == 0,
+        free=jumps.free[rig, way],
         doubtful=jumps.doubtful[rig, way],
     )
     doubtful, span = leaving.doubtful, np.diff(leaving.bracket)[:, 0]
@@ -150,11 +152,13 @@ def refine(
         feed = _Bisection(own, end[k], settled[k], narrow[k])
         pool = pool_of(plan, prepared, own.rig)
         pool.run(feed.state, feed.frequency(np.arange(len(k))), feed.onwards)
-        leaving.bracket[k], leaving.state[k] = np.stack([feed.low, feed.high], axis=-1), feed.state
+        leaving.bracket[k] = np.stack([feed.low, feed.high], axis=-1)
+        leaving.state[k], leaving.free[k] = feed.state, feed.free
         smooth[k] = doubtful[k] & ~feed.jumps()
         if plan.settle == "follow":
             _solve_near(prepared, leaving, k[settled[k] & ~smooth[k] & (feed.low != feed.high)])
     jumps.bracket[rig, way], jumps.state[rig, way] = leaving.bracket, leaving.state
+    jumps.free[rig, way] = leaving.free
     none = np.zeros_like(jumps.exists)
     none[rig, way] = smooth
     jumps.drop(none)
@@ -196,11 +200,10 @@ def _solve(
 
 def _solve_near(prepared: Prepared, leaving: _Leaving, near: Int[np.ndarray, " some"]) -> None:
     """Solve for the folds in brackets that have been halved, where there are any."""
-    low, high = leaving.bracket[near].T
-    unit, state = leaving.unit[near], leaving.state[near]
-    given = low * unit, (high - low) / FIRST_STEP * unit, np.zeros(len(near), bool)
-    fold, state = folds_ahead(prepared.march, leaving.rig[near], state, *given)
-    share = (fold / unit - low) / (high - low)
+    bracket, unit, state = leaving.bracket[near], leaving.unit[near], leaving.state[near]
+    given = leaving.rig[near], state, bracket * unit[:, None]
+    fold, state = folds_within(prepared.march, *given)
+    share = (fold / unit - bracket[:, 0]) / np.diff(bracket)[:, 0]
     inside = (share >= 0) & (share <= 1)
     leaving.bracket[near[inside]] = (fold / unit)[inside, None]
     leaving.state[near[inside]] = state[inside]

@@ -24,13 +24,19 @@ class Jumps:
         self.exists = before >= 0
         self.bracket = np.full((*before.shape, 2), np.nan)
         self.state = np.empty((*before.shape, 0))
-        """Next to the jump, before it."""
+        """Of the motion next to the jump, before it."""
+        self.free = np.zeros(before.shape, bool)
+        """Whether that motion has no contact."""
 
-    def begin(self, frequencies: np.ndarray, states: np.ndarray) -> None:
-        """Bracket every jump by its two grid points; states are (..., directions, frequencies)."""
+    def begin(self, frequencies: np.ndarray, states: np.ndarray, force: np.ndarray) -> None:
+        """Bracket every jump by its two grid points.
+
+        States and largest contact forces are (..., directions, frequencies).
+        """
         both = np.stack([frequencies[self.before], frequencies[self.after]], axis=-1)
         self.bracket = np.where(self.exists[..., None], both, np.nan)
         self.state = np.take_along_axis(states, self.before[..., None, None], axis=-2)[..., 0, :]
+        self.free = np.take_along_axis(force, self.before[..., None], axis=-1)[..., 0] == 0
 
     def drop(self, there_is_none: np.ndarray) -> None:
         """Forget jumps that are none."""
@@ -45,7 +51,7 @@ class Jumps:
     def take(self, others: "Jumps") -> None:
         """Take others in the place of those that were dropped."""
         here = self.dropped
-        for name in ("before", "after", "rises", "doubtful", "exists", "bracket", "state"):
+        for name in ("before", "after", "rises", "doubtful", "exists", "bracket", "state", "free"):
             new, old = getattr(others, name), getattr(self, name)
             chosen = here.reshape(here.shape + (1,) * (new.ndim - here.ndim))
             setattr(self, name, np.where(chosen, new, old))

@@ -103,7 +103,8 @@ def sweep_rigs(
     given = curves["amplitude_ratio"], settled, allowed, plan.directions
     found = find_jumps(*given)
     swept = Swept(curves, feed.states.reshape(*shape, states), found, first / (2 * np.pi))
-    found.begin(plan.grid, swept.states)
+    at_grid = plan.grid, swept.states, curves["contact_force"]
+    found.begin(*at_grid)
     if plan.refine_jumps is None:
         found.drop(found.doubtful)
         return swept
@@ -114,30 +115,11 @@ def sweep_rigs(
         lanes = np.nonzero(found.dropped)
         allowed[(*lanes, found.after[lanes])] = False
         others = find_jumps(*given)
-        others.begin(plan.grid, swept.states)
+        others.begin(*at_grid)
         others.drop(~found.dropped)
         refine(plan, plan.refine_jumps, prepared, swept._replace(jumps=others), unit)
         found.take(others)
     return swept
-
-
-def before_jumps(swept: Swept) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return the states from which the response jumps up and down, and whether they touch nothing.
-
-    States have the shape (rigs, states), NaN where there is no jump. The third array is 1 where the
-    state is that of the fold itself, which returns after a drive period, else 0.
-    """
-    found, jumps = {}, swept.jumps
-    for name, wanted in (("jump_up", jumps.rises), ("jump_down", ~jumps.rises)):
-        states = np.full((len(swept.states), swept.states.shape[-1]), np.nan)
-        free, fold = np.zeros(len(states), bool), np.zeros(len(states), np.int64)
-        rig, way = np.nonzero(jumps.exists & wanted)
-        at_fold = np.diff(jumps.bracket[rig, way])[:, 0] == 0
-        force = swept.curves["contact_force"][rig, way, jumps.before[rig, way]]
-        states[rig], free[rig] = jumps.state[rig, way], (force == 0) & ~at_fold
-        fold[rig] = at_fold
-        found[name] = states, free, fold
-    return found
 
 
 def numbers_of_jumps(swept: Swept) -> dict[str, Any]:
