@@ -169,7 +169,7 @@ JOBS: dict[str, Callable[[], Callable[[], Any]] | None] = {
 
 
 class Spans:
-    """What JAX tells of the time that it spends on making programs."""
+    """What JAX reports of the time that it spends on making programs."""
 
     def __init__(self) -> None:
         import jax
@@ -183,13 +183,13 @@ class Spans:
         if event == READ:  # the program whose span ends next in this thread
             self._read.now = True
 
-    def _span(self, event: str, start: float, end: float, **told: Any) -> None:
+    def _span(self, event: str, start: float, end: float, **facts: Any) -> None:
         part = PARTS.get(event)
         if part is None:
             return
         read = part == "xla" and getattr(self._read, "now", False)
         self._read.now = False
-        name = str(told.get("fun_name", "?"))
+        name = str(facts.get("fun_name", "?"))
         self.found.append((threading.get_ident(), start, end, part, name, read))
 
     def take(self) -> dict[str, Any]:
@@ -323,9 +323,9 @@ def slow_programs(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def machine() -> dict[str, Any]:
-    """Facts of the machine, as far as the system tells."""
-    name, told = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
-    for fact in told.read_text().splitlines() if told.exists() else ():
+    """Facts of the machine, as far as the system says."""
+    name, facts = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
+    for fact in facts.read_text().splitlines() if facts.exists() else ():
         if fact.startswith("model name"):
             name = fact.partition(":")[2].strip()
             break

@@ -271,7 +271,7 @@ def _auto_folder() -> Path | None:
 
 
 def _auto_version() -> str:
-    """Of the Debian package where there is one: AUTO's programs do not tell theirs."""
+    """Of the Debian package where there is one: AUTO's programs do not give theirs."""
     if shutil.which("dpkg-query") is None:
         return "07p"
     packaged = _first_line(["dpkg-query", "-W", "-f", "${Version}", "auto-07p"])

@@ -164,8 +164,8 @@ def _on_the_site(found, path, uri, files, inner=False):
 def _to_reference(found, known, uri):
     name = found[1]
     explicit = found[0].startswith(("`vj.", "`vibrojax."))
-    telling = name[0].isupper() or "_" in name or "(" in found[2]
-    if name not in known or not (explicit or telling):
+    says_much = name[0].isupper() or "_" in name or "(" in found[2]
+    if name not in known or not (explicit or says_much):
         return found[0]
     start = posixpath.dirname(uri) or "."
     return f"[{found[0]}]({posixpath.relpath(known[name], start)})"

@@ -69,7 +69,7 @@ SLOW = {
     "test_parameter_map": (
         "test_zipped_axes_are_the_diagonal",
         "test_chunks_and_order_of_axes_change_nothing",
-        "test_a_measure_that_returns_a_curve_is_told_so",
+        "test_a_measure_that_returns_a_curve_is_said",
         "test_quiet_where_there_is_no_terminal",
         "test_measures_of_ones_own",
     ),
@@ -574,7 +574,7 @@ LONG = {
         "test_other_methods_say_it_too",
         "test_in_a_batch_distances_are_numbers_and_nothing_is_warned_of",
         "test_a_motion_goes_on_from_its_last_state",
-        "test_a_motion_of_a_lower_period_is_told",
+        "test_a_motion_of_a_lower_period_is_said",
     ),
     "test_history_misfit": (
         "test_driven_from_rest",
@@ -646,7 +646,7 @@ LONG = {
         "test_derivatives_are_those_of_finite_differences[largest contact fraction]",
     ),
     "test_map_responses": (
-        "test_a_measure_that_jax_cannot_trace_is_told_so",
+        "test_a_measure_that_jax_cannot_trace_is_said",
         "test_no_derivative_where_there_is_no_steady_state",
     ),
     "test_map_damage": (

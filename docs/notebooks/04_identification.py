@@ -118,7 +118,7 @@ print(f"correlation {fit.correlation[0, 1]:.2f}")
 fit.what_next("damping")
 
 # %% [markdown]
-# The list gives the most telling frequencies first. They lie just below the forward jump, where the
+# The list gives the most informative frequencies first: just below the forward jump, where the
 # motion is largest and loses most in the stop.
 #
 # ## What this cannot determine

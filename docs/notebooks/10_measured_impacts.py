@@ -119,4 +119,4 @@ print(free)
 #
 # Which contact law explains such records, and foretells a run that it has not seen, is asked by
 # `vj.compare_laws`; it takes minutes. `experiments/cart_on_pads` has its answer: a linear spring,
-# one that relaxes ahead, but whether the pad pulls at the end of a contact cannot be told.
+# one that relaxes ahead, but whether the pad pulls at the end of a contact remains open.

@@ -20,7 +20,7 @@ RESULTS = HERE / "results.json"
 MISFIT = "The model does not explain the data"
 
 
-def told(fit) -> dict:
+def summary(fit) -> dict:
     """Estimates, intervals, misfit and what was warned of."""
     residual = np.concatenate([p.residual.values for p in fit.predictions])
     channel = np.concatenate([p.channel.values for p in fit.predictions])
@@ -48,7 +48,7 @@ def alone() -> dict:
         found[f"{pad} mm"] = {}
         for panel, (name, run) in zip(row, records(pad).items(), strict=True):
             fit = vj.identify(cart, run, GUESS, mass=MASS)
-            found[f"{pad} mm"][name] = told(fit)
+            found[f"{pad} mm"][name] = summary(fit)
             draw(panel, fit)
             panel.set_title(f"{pad} mm, {name}", fontsize=10)
         row[0].set_ylabel("contact force (N)")
@@ -71,12 +71,12 @@ def with_velocity() -> dict:
     """Each run on the thick pad by force and velocity, which is on a clock of its own."""
     wanted = GUESS | {"mass": 0.5, "velocity_delay": None}
     runs = records(40, velocity=True)
-    return {name: told(vj.identify(cart, run, wanted)) for name, run in runs.items()}
+    return {name: summary(vj.identify(cart, run, wanted)) for name, run in runs.items()}
 
 
 def without_mass() -> dict:
     """The force alone, the mass fitted too."""
-    return told(vj.identify(cart, records(40)["Run 4"], GUESS | {"mass": 0.5}))
+    return summary(vj.identify(cart, records(40)["Run 4"], GUESS | {"mass": 0.5}))
 
 
 def together() -> dict:
@@ -84,7 +84,7 @@ def together() -> dict:
     runs = records(40)
     kept = {"none": RUNS} | {out: [name for name in RUNS if name != out] for out in RUNS}
     return {
-        f"without {out}": told(
+        f"without {out}": summary(
             vj.identify(
                 cart, [runs[name] for name in names], GUESS, private=["initial_velocity"], mass=MASS
             )
@@ -109,7 +109,7 @@ def laws(pad: int) -> dict:
         str(law): {
             **{name: float(data[name].sel(law=law)) for name in ("akaike", "bayes")},
             "left_out": data["foretold"].sel(law=law).values.tolist(),
-            **told(compared.fits[str(law)]),
+            **summary(compared.fits[str(law)]),
         }
         for law in data["law"].values
     }

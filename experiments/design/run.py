@@ -32,7 +32,7 @@ SETTINGS = {
     "power": vj.design.OptimiseSettings(screened=32, starts=3, max_rounds=45),
 }
 SEEDS = 1, 2
-"""Other seeds of the designs screened, to see how much hangs on them."""
+"""Other seeds of the designs screened, to see how much depends on them."""
 SIDE = 15
 """Values along each axis of a map."""
 REACH = 4.0

@@ -105,7 +105,7 @@ def draw_panel(axes, branch: vj.branches.Branch, sweep: pd.DataFrame) -> None:
     for way, color, marker in (("forward", FORWARD, ">"), ("backward", BACKWARD, "<")):
         key = f"taper_{branch.labels['taper']:g}_{way}"
         once = sweep[f"{key}_period"] == 1
-        # So many that they can be told apart.
+        # So many that they can be distinguished.
         thinned = np.linspace(*branch.range, 36) + (0.004 if way == "backward" else 0.0)
         at = np.unique(np.searchsorted(sweep["frequency_ratio"], thinned).clip(0, len(sweep) - 1))
         shown = sweep.iloc[at][once.iloc[at]]

@@ -213,11 +213,13 @@ def test_what_follows_where_stability_is_lost(oscillator, oscillator_branch):
     assert f"then period 2 at {last.follows_at:.6g}" in repr(last)
 
 
-def test_of_many_losses_of_stability_the_first_are_told(oscillator_branch, monkeypatch):
+def test_of_many_losses_of_stability_the_first_are_labelled(oscillator_branch, monkeypatch):
     monkeypatch.setattr(what_follows, "MOST", 1)
     silent = tuple(replace(p, follows="") for p in oscillator_branch.special_points)
-    (told,) = what_follows.with_what_follows([replace(oscillator_branch, special_points=silent)])
-    assert [p.follows for p in told.special_points if p.follows] == ["period 3"]
+    (labelled,) = what_follows.with_what_follows(
+        [replace(oscillator_branch, special_points=silent)]
+    )
+    assert [p.follows for p in labelled.special_points if p.follows] == ["period 3"]
 
 
 def test_settled_sweeps_have_what_follows_too(oscillator, oscillator_branch):

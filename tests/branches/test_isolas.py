@@ -49,7 +49,7 @@ def test_its_folds_are_those_along_the_amplitude(branch):
 @pytest.mark.slow
 @pytest.mark.parametrize(("amplitude", "isolas"), [(3.8200e-5, 0), (4.0e-5, 1)])
 def test_others_are_found_where_there_are_any(amplitude, isolas):
-    """Where the curve of folds just fails to come to the gap; and an isola of half the range."""
+    """Where the curve of folds just fails to reach the gap; and an isola of half the range."""
     other = vj.continue_response(rig(amplitude), frequency_ratio=ABOUT, isolas=True)
     assert len(other.isolas) == isolas
 

@@ -130,9 +130,9 @@ def test_a_column_that_is_left_out(asked):
 def test_what_is_ambiguous_is_asked_about_in_options(capsys, asked):
     write_curve("forces.csv", header="ratio,peak_ratio,force (N)")
     assert run("fit", "forces.csv") == 2
-    told = capsys.readouterr().err
+    printed = capsys.readouterr().err
     for choice in ("--columns contact_force='force (N)'", "--columns contact_force=none"):
-        assert choice in told
+        assert choice in printed
     Path("comma.csv").write_text("ratio;peak_ratio\n0,9;1,250\n1;2,500\n1,1;1,250\n")
     assert run("fit", "comma.csv") == 0
     np.testing.assert_allclose(asked["measured"].amplitude, [1.25, 2.5, 1.25])

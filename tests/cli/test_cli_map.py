@@ -84,7 +84,7 @@ def asked(monkeypatch):
     return calls
 
 
-def told(asked, *words):
+def settings_for(asked, *words):
     """The settings that the command asks for, without its pictures."""
     assert run("map", *words, "--picture", "none", "--summary", "none", "--quiet") == 0
     return asked["settings"]
@@ -92,7 +92,7 @@ def told(asked, *words):
 
 def test_axes_of_the_command_line(asked):
     axes = ["--axis", "gap=0.2e-3:1e-3:5", "taper=0,0.25,0.5", "--axis", "stiffness=1e3:1e5:3:log"]
-    settings = told(asked, *axes, "--frequency-ratio", "0.9", "1.4", "6")
+    settings = settings_for(asked, *axes, "--frequency-ratio", "0.9", "1.4", "6")
     np.testing.assert_allclose(settings["gap"], np.linspace(0.2e-3, 1e-3, 5))
     assert settings["taper"] == [0.0, 0.25, 0.5]
     np.testing.assert_allclose(settings["stiffness"], [1e3, 1e4, 1e5])
@@ -109,7 +109,7 @@ def test_axes_of_the_command_line(asked):
 
 
 def test_every_option(asked):
-    settings = told(
+    settings = settings_for(
         asked,
         *("rig.toml", "--axis", "gap=4e-4", "--zipped", "taper=0,0.5", "width=0.02:0.03:2"),
         *("--zipped", "length=0.1,0.2", "density=8e3,9e3", "--frequency", "9.5"),
@@ -132,7 +132,7 @@ def test_every_option(asked):
 
 
 def test_the_table_of_a_file(asked):
-    settings = told(asked, "map.toml")
+    settings = settings_for(asked, "map.toml")
     np.testing.assert_allclose(settings["gap"], [1e-4, 1e-3, 1e-2])
     assert settings["mass_ratio"] == [0.0, 0.5]
     (group,) = asked["groups"]
@@ -146,7 +146,7 @@ def test_the_table_of_a_file(asked):
 def test_options_override_the_file(asked):
     axes = ["--axis", "gap=1e-3,2e-3", "--zipped", "mass_ratio=0,1", "position=0.4,0.6"]
     more = ["--direction", "both", "--measures", "jump_down", "--no-curves", "--frequency", "9"]
-    settings = told(asked, "map.toml", *axes, *more, "--gradients", "gap")
+    settings = settings_for(asked, "map.toml", *axes, *more, "--gradients", "gap")
     assert settings["gap"] == [1e-3, 2e-3]
     assert "mass_ratio" not in settings
     assert [list(group.values) for group in asked["groups"]] == [
@@ -157,20 +157,22 @@ def test_options_override_the_file(asked):
     assert settings["response"].direction == "both"
     assert (settings["measures"], settings["keep_curves"]) == (["jump_down"], False)
     assert settings["gradients"] == ("gap",)
-    settings = told(asked, "map.toml", "--axis", "taper=0.1", "width=0.02")
+    settings = settings_for(asked, "map.toml", "--axis", "taper=0.1", "width=0.02")
     assert (asked["groups"], settings["taper"], settings["width"]) == ((), [0.1], [0.02])
 
 
 def test_settings_of_the_sweep_hold_for_maps(asked):
     text = RIG + "tolerance = 1e-5\nmax_period = 4\nrefine_jumps = false\n"
     Path("rig.toml").write_text(text)
-    settings = told(asked, "rig.toml", "--axis", "gap=1e-3,2e-3")
+    settings = settings_for(asked, "rig.toml", "--axis", "gap=1e-3,2e-3")
     np.testing.assert_allclose(settings["frequency"], np.linspace(8, 12, 6))
     wanted = vj.SweepSettings(tolerance=1e-5, max_period=4, refine_jumps=None)
     assert repr(settings["response"]) == repr(wanted)
-    settings = told(asked, "rig.toml", "--axis", "gap=1e-3,2e-3", "--response", "continuation")
+    settings = settings_for(
+        asked, "rig.toml", "--axis", "gap=1e-3,2e-3", "--response", "continuation"
+    )
     assert repr(settings["response"]) == repr(vj.ContinuationSettings())
-    assert len(told(asked, "--axis", "gap=1e-3")["frequency_ratio"]) == 61
+    assert len(settings_for(asked, "--axis", "gap=1e-3")["frequency_ratio"]) == 61
 
 
 def test_table_and_pictures(folder, capsys, asked):
@@ -401,7 +403,7 @@ def test_example_names_every_key(asked):
             assert any(line.startswith(f"{name} = ") for line in lines), name
     for word in (*(f"{name} = " for name in SPACED_KEYS), "[map.axes]", "[[map.zipped]]"):
         assert word in text
-    settings = told(asked, str(EXAMPLE))
+    settings = settings_for(asked, str(EXAMPLE))
     assert len(settings["gap"]) == 9
     assert settings["keep_curves"] is False
     taper, width = (np.array(values) for values in asked["groups"][0].values.values())

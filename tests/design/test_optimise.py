@@ -73,7 +73,7 @@ def test_the_best_of_several_minima_with_gradient_curvature_and_history():
     assert found.neighbours[0].number < found.numbers["x"] < found.neighbours[1].number
 
 
-def test_the_largest_at_bounds_in_logarithms_is_told_in_the_users_numbers():
+def test_the_largest_at_bounds_in_logarithms_is_given_in_the_users_numbers():
     box = variables_of({"gap": (1e-4, 1e-2), "stiffness": vj.Range(1e3, 1e5, 2e3)})
     rigs = ClosedForm(
         {"power": lambda p: 5.0 - jnp.log(p[0] / 1e-3) ** 2 + 0.1 * jnp.log(p[1])}, box.names

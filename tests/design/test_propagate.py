@@ -85,8 +85,8 @@ def test_jumps_and_bends_are_said():
         }
     )
     above = int(np.sum(found.samples[:, 0] > 3.1e-4))
-    told = f"it jumps: {above} of 64 rigs lie 4 above the line of the others, none between."
-    assert told in found.findings["jumping"]
+    sentence = f"it jumps: {above} of 64 rigs lie 4 above the line of the others, none between."
+    assert sentence in found.findings["jumping"]
     bending = found.findings["bending"]
     assert bending.startswith("First order gives 0 % of the scatter: within these")
     assert "it is not linear. Go by the samples." in bending

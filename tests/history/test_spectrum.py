@@ -184,7 +184,7 @@ def test_names_without_modes_and_equally_good_ones():
     assert (both.mode, both.sideband) == (1, 1)
 
 
-def test_folded_lines_are_told_by_their_acceleration():
+def test_folded_lines_are_known_by_their_acceleration():
     time = np.arange(4096) / RATE
     for frequency, expected in ((60.0, 0.0), (400.0, 1.0)):
         turn = 2 * np.pi * frequency

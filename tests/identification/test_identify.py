@@ -297,9 +297,9 @@ def test_the_posterior_agrees_with_the_interval(make, name):
     for n in fit.names:
         width = fit.interval[n][1] - fit.interval[n][0]
         np.testing.assert_allclose(posterior.interval[n], fit.interval[n], atol=0.25 * width)
-    told = fit.what_next("damping", gap=[0.3e-3, 0.5e-3])
-    assert told.best.deviation < 0.9
-    assert {c.changes["gap"] for c in told.candidates} == {0.3e-3, 0.5e-3}
+    suggested = fit.what_next("damping", gap=[0.3e-3, 0.5e-3])
+    assert suggested.best.deviation < 0.9
+    assert {c.changes["gap"] for c in suggested.candidates} == {0.3e-3, 0.5e-3}
     with pytest.raises(ValueError, match="what is fitted"):
         fit.what_next("damping", stiffness=[1e3])
 
@@ -405,9 +405,9 @@ def test_a_curve_without_contact_is_refused(make):
 
 def test_a_report_and_a_dataset(fit, tmp_path):
     report, picture = fit.save(tmp_path / "fit")
-    told = json.loads(report.read_text())
-    assert told["parameters"]["stiffness"]["estimate"] == fit.estimate["stiffness"]
-    assert told["parameters"]["damping"]["identifiability"].startswith("not identifiable")
+    saved = json.loads(report.read_text())
+    assert saved["parameters"]["stiffness"]["estimate"] == fit.estimate["stiffness"]
+    assert saved["parameters"]["damping"]["identifiability"].startswith("not identifiable")
     assert picture.stat().st_size > 10_000
     data = fit.to_xarray()
     assert data.estimate.sel(parameter="stiffness") == fit.estimate["stiffness"]

@@ -145,7 +145,7 @@ def test_every_value_of_every_axis_is_built_before_anything_runs():
 
 
 def test_a_rig_that_holds_other_numbers_is_another_rig(tmp_path, monkeypatch):
-    # Its arrays print alike, and nothing in the call tells them apart.
+    # Its arrays print alike, and nothing in the call distinguishes them.
     monkeypatch.setattr("vibrojax.maps.parameter_map._run", lambda *_: None)
 
     def call(mass, factor):

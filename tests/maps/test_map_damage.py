@@ -363,18 +363,18 @@ QUICK = (
 def test_a_damaged_store_is_repaired_by_the_same_call_which_says_what_was_wrong(
     store, whole, damage
 ):
-    harm, told = DAMAGES[damage]
+    harm, words = DAMAGES[damage]
     harm(store)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = small_map(store)
-    if told is None:
+    if words is None:
         assert caught == []
         return
     (warning,) = caught  # one sentence, which names all of it
     text = str(warning.message)
     assert text.startswith(f"store: {str(store)!r} was damaged: ")
-    for word in told:
+    for word in words:
         assert any(part in text.replace("\\", "") for part in word.replace("\\", "").split("|"))
     found.close()
     assert_same_store(store, whole)
@@ -465,10 +465,12 @@ def test_a_damaged_chunk_that_fails_now_is_missing_not_wrong(tmp_path):
     small_map(tmp_path / "map", **settings)
     flip(tmp_path / "map/fragile/c/1")
     measure.flag.touch()
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         found = small_map(tmp_path / "map", **settings)
-    assert [("was damaged" in str(w.message), "failed twice" in str(w.message)) for w in told] == [
+    assert [
+        ("was damaged" in str(w.message), "failed twice" in str(w.message)) for w in warned
+    ] == [
         (True, False),
         (False, True),
     ]

@@ -76,8 +76,8 @@ def test_chunks_of_corrected_lanes_and_only_they_are_computed_again(
     computed.clear()
     small_map(kind(GAPS), store)
     assert computed == []
-    told = rf"other rigs.*chunk {changed[0]} at natural.*These {len(changed)} of 4 chunks are"
-    with pytest.warns(UserWarning, match=told):
+    message = rf"other rigs.*chunk {changed[0]} at natural.*These {len(changed)} of 4 chunks are"
+    with pytest.warns(UserWarning, match=message):
         found = small_map(kind(corrected), store)
     assert computed == changed
     fresh = small_map(kind(corrected), tmp_path / "fresh")
@@ -261,8 +261,8 @@ def test_what_cannot_be_read_is_said(tmp_path):
     def of_a_file(curve):
         return float(file.read() or 1.0)
 
-    told = r"of_a_file: file \(a TextIOWrapper\) cannot be read. When it changes"
-    with pytest.warns(UserWarning, match=told):
+    message = r"of_a_file: file \(a TextIOWrapper\) cannot be read. When it changes"
+    with pytest.warns(UserWarning, match=message):
         small_map(traced(GAPS), tmp_path / "map", measures=of_a_file, keep_curves=False)
     file.close()
 
@@ -279,7 +279,7 @@ def test_comments_are_no_difference():
     assert found[0].reads == {"A": "1.0"}
 
 
-def test_functions_that_differ_are_told_apart():
+def test_functions_that_differ_are_distinguished():
     def make(k):
         return lambda x: x + k
 

@@ -167,9 +167,9 @@ def test_ctrl_c_ends_a_map_and_the_same_call_continues_it(tmp_path, environment,
         assert wait_until(lambda least=least: chunks_in(store) > least, process)
         time.sleep(choice.uniform(0, 0.1))
         process.send_signal(signal.SIGINT)
-        _, told = process.communicate(timeout=120)
+        _, errors = process.communicate(timeout=120)
         assert process.returncode == -signal.SIGINT
-        assert told.rstrip().endswith("KeyboardInterrupt")
+        assert errors.rstrip().endswith("KeyboardInterrupt")
     left = LANES - chunks_in(store)
     assert 0 < left < LANES
     # What was whole is not computed again; one chunk was on its way to be written.
@@ -337,7 +337,7 @@ def test_death_before_the_last_note_leaves_no_failure_that_is_none(tmp_path, mon
         patched.setattr(MapStore, "note", die)
         with pytest.raises(Killed):
             small_map(store, **settings)
-    # All is computed now, but the store still tells of the failure.
+    # All is computed now, but the store still names the failure.
     small_map(store, **settings)
     assert_same_store(store, tmp_path / "whole")
 
@@ -373,10 +373,10 @@ def test_a_full_disk_is_said_and_no_harm_wherever_it_happens(tmp_path, full_disk
         full_disk(int(part * size))
         with pytest.raises(
             vj.maps.StoreFull, match=r"disk of the store is full.*same call"
-        ) as told:
+        ) as raised:
             small_map(store, keep_curves=True)
-        assert told.value.errno == errno.ENOSPC
-        assert told.value.__suppress_context__  # one sentence, not a tale of Zarr's
+        assert raised.value.errno == errno.ENOSPC
+        assert raised.value.__suppress_context__  # one sentence, not a tale of Zarr's
         full_disk(None)
         if (store / "lane_status" / "zarr.json").exists():
             assert "failed" not in statuses(store)
@@ -447,10 +447,10 @@ def test_a_chunk_that_fails_twice_is_flagged_and_computed_by_the_next_call(tmp_p
     measure.flag.touch()
     for calls in ([1.0, 1.2, 1.4, 1.6, 1.4, 1.6, 1.8, 2.0], [1.4, 1.6, 1.4, 1.6]):
         measure.calls.clear()
-        with pytest.warns(UserWarning, match="1 of 3 chunks failed") as told:
+        with pytest.warns(UserWarning, match="1 of 3 chunks failed") as warned:
             found = small_map(store, **settings)
         assert measure.calls == calls
-        text = str(told[0].message)
+        text = str(warned[0].message)
         assert "Chunk 1 at natural[2:4]: RuntimeError: no such luck" in text
         assert "same call" in text
         assert statuses(store) == ["settled"] * 2 + ["failed"] * 2 + ["settled"] * 2

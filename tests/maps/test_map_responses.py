@@ -207,7 +207,7 @@ def test_no_derivative_where_there_is_no_steady_state():
 
 
 @pytest.mark.slow
-def test_a_measure_that_jax_cannot_trace_is_told_so():
+def test_a_measure_that_jax_cannot_trace_is_said():
     with pytest.raises(UserWarning, match="'numpy_only' cannot be differentiated"):
         vj.parameter_map(
             rig,

@@ -62,8 +62,10 @@ def holder(tmp_path):
 
 
 def test_the_second_process_says_who_has_the_store(tmp_path, holder, computing):
-    told = rf"map' is being written by process {holder.pid} on \S+, since 20.*repeat the same call"
-    with pytest.raises(vj.maps.StoreInUse, match=told) as error:
+    message = (
+        rf"map' is being written by process {holder.pid} on \S+, since 20.*repeat the same call"
+    )
+    with pytest.raises(vj.maps.StoreInUse, match=message) as error:
         small_map(tmp_path / "map")
     assert error.value.__suppress_context__
     assert error.value.errno == errno.EBUSY
@@ -119,15 +121,15 @@ def test_a_complete_map_is_read_while_another_process_has_the_store(tmp_path, co
 
 def test_of_many_that_start_at_once_one_has_it(tmp_path):
     # Again and again: the file of the lock comes and goes meanwhile.
-    told = []
+    states = []
 
     def take():
         for _ in range(50):
             try:
                 with held(tmp_path / "lock", "map"):
-                    told.append("held")
+                    states.append("held")
                     time.sleep(1e-4)
-                    told.append("free")
+                    states.append("free")
             except vj.maps.StoreInUse:
                 pass
 
@@ -136,8 +138,8 @@ def test_of_many_that_start_at_once_one_has_it(tmp_path):
         thread.start()
     for thread in threads:
         thread.join()
-    assert told == ["held", "free"] * (len(told) // 2)
-    assert len(told) >= 2
+    assert states == ["held", "free"] * (len(states) // 2)
+    assert len(states) >= 2
     assert not (tmp_path / "lock").exists()
 
 
@@ -148,12 +150,12 @@ def test_two_programs_that_start_one_store(tmp_path):
     try:
         assert wait_until((tmp_path / "map" / "vibrojax" / "lock").exists, first)
         second = start(tmp_path / "map", environment)
-        _, told = second.communicate(timeout=240)
+        _, errors = second.communicate(timeout=240)
     finally:
         first.kill()
         first.communicate()
     assert second.returncode == 1
-    assert f"is being written by process {first.pid} on" in told.rstrip().splitlines()[-1]
+    assert f"is being written by process {first.pid} on" in errors.rstrip().splitlines()[-1]
 
 
 class NoLocks:
@@ -171,8 +173,8 @@ def test_without_locks_of_the_system_the_file_is_the_lock(tmp_path, monkeypatch,
     monkeypatch.setattr(lock, "fcntl", system)
     file = tmp_path / "lock"
     with held(file, "map"):
-        told = rf"process {os.getpid()} on .*If it has ended, remove .*lock"
-        with pytest.raises(vj.maps.StoreInUse, match=told), held(file, "map"):
+        message = rf"process {os.getpid()} on .*If it has ended, remove .*lock"
+        with pytest.raises(vj.maps.StoreInUse, match=message), held(file, "map"):
             pass
         assert file.exists()
     assert not file.exists()

@@ -286,7 +286,7 @@ def test_wrong_input_is_refused_before_anything_is_computed(monkeypatch, argumen
         vj.parameter_map(rig, frequency_ratio=GRID, **arguments)
 
 
-def test_a_measure_that_returns_a_curve_is_told_so():
+def test_a_measure_that_returns_a_curve_is_said():
     with pytest.warns(UserWarning, match="'whole' must return one number for a curve"):
         found = vj.parameter_map(
             rig,

@@ -119,11 +119,11 @@ WRITERS = {
 def refused(read, path, sentence, **how):
     with pytest.raises(ValueError, match=sentence) as refusal:
         read(path, **how)
-    told = str(refusal.value)
-    assert told.startswith(("Measured ", "Drive "))
-    assert told.endswith(".")
-    assert "\n" not in told
-    assert len(told) < 1500
+    sentence = str(refusal.value)
+    assert sentence.startswith(("Measured ", "Drive "))
+    assert sentence.endswith(".")
+    assert "\n" not in sentence
+    assert len(sentence) < 1500
 
 
 @pytest.mark.parametrize("kind", WRITERS)
@@ -366,9 +366,9 @@ def test_bytes_cut_off_or_changed_at_random(tmp_path, kind):
         else:
             damaged = damaged[: int(part * len(raw))]
         path.write_bytes(damaged.tobytes())
-        told = outcome(read, path)
-        refusals += told is not None
-        assert told is None or (told.startswith("Measured ") and "\n" not in told)
+        refusal = outcome(read, path)
+        refusals += refusal is not None
+        assert refusal is None or (refusal.startswith("Measured ") and "\n" not in refusal)
     assert refusals >= 10
 
 

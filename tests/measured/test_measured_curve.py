@@ -174,7 +174,7 @@ def test_what_is_no_curve_is_refused(changed, message):
         MeasuredCurve(**(fields | changed))
 
 
-def test_a_curve_tells_what_it_is():
+def test_a_curve_says_what_it_is():
     text = repr(
         MeasuredCurve(
             np.array([10.0, 12.0]),
@@ -260,7 +260,7 @@ def test_a_file_with_all_columns(tmp_path):
         ("peak power [mW]", "peak", "power", 1e-3),
     ],
 )
-def test_the_name_of_a_column_tells_quantity_and_signal(header, quantity, signal, value):
+def test_the_name_of_a_column_says_quantity_and_signal(header, quantity, signal, value):
     curve = read_measured_curve({"frequency_ratio": [0.9, 1.0], header: [1.0, 1.0]})
     assert (curve.quantity, curve.signal) == (quantity, signal)
     np.testing.assert_allclose(curve.amplitude, value)
@@ -400,9 +400,9 @@ def test_directions_given():
     guessed = read_measured_curve(source)
     assert guessed.forward.all()
     assert note(guessed, "Directions were guessed")
-    told = read_measured_curve(source, direction="backward")
-    assert told.backward.all()
-    assert not note(told, "Directions were guessed")
+    directed = read_measured_curve(source, direction="backward")
+    assert directed.backward.all()
+    assert not note(directed, "Directions were guessed")
     named = read_measured_curve(source | {"sweep": ["F", "b", "-1", "sideways"]})
     np.testing.assert_array_equal(named.direction, [1, -1, -1])
     assert note(named, "row 4 (direction is not")

@@ -53,7 +53,7 @@ def test_line_ends_and_the_end_of_dos_files(tmp_path):
     ],
 )
 @pytest.mark.parametrize("delimiter", [";", "\t", "  ", '","'])
-def test_the_file_tells_its_decimal_sign(tmp_path, rows, expected, delimiter):
+def test_the_file_shows_its_decimal_sign(tmp_path, rows, expected, delimiter):
     text = f"f_Hz;tip_mm\n{rows}"
     if delimiter == '","':
         text = "\n".join(f'"{line}"' if line else "" for line in text.split("\n"))
@@ -187,7 +187,7 @@ def test_durations_of_netcdf_files_stay_numbers(tmp_path):
 
 
 @pytest.mark.parametrize("read", ["curve", "history", "rig"])
-def test_what_is_no_file_is_told(tmp_path, read):
+def test_what_is_no_file_is_said(tmp_path, read):
     readers = {
         "curve": vj.io.read_measured_curve,
         "history": lambda path: vj.io.read_measured_history(path, frequency=1.0),
@@ -207,7 +207,7 @@ def test_what_is_no_file_is_told(tmp_path, read):
             readers[read](path)
 
 
-def test_what_is_no_text_is_told(tmp_path):
+def test_what_is_no_text_is_said(tmp_path):
     for start, sentence in (
         (b"PK\x03\x04", "cannot be read as a workbook"),
         (b"\x1f\x8b", "compressed: unpack it"),

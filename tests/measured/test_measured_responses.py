@@ -94,8 +94,8 @@ def test_a_curve_made_of_complex_amplitudes():
     np.testing.assert_array_equal(curve.amplitude, np.abs(RESPONSE))
     np.testing.assert_array_equal(curve.phase, np.angle(RESPONSE))
     assert curve.quantity == "first_harmonic"
-    told = vj.io.MeasuredCurve(FREQUENCY, "frequency", RESPONSE, quantity="rms", is_ratio=False)
-    assert told.quantity == "rms"
+    named = vj.io.MeasuredCurve(FREQUENCY, "frequency", RESPONSE, quantity="rms", is_ratio=False)
+    assert named.quantity == "rms"
     with pytest.raises(ValueError, match="phase is given, but the amplitude is complex"):
         vj.io.MeasuredCurve(FREQUENCY, "frequency", RESPONSE, phase=FREQUENCY)
     with pytest.raises(ValueError, match="phase has 2 points, frequency has 31"):
@@ -117,8 +117,8 @@ def test_magnitude_and_phase_in_two_columns():
     unclear = vj.io.read_measured_curve(source | {"phase": degrees})
     assert unclear.phase is None
     assert any("'phase' was left out, as it says no unit" in note for note in unclear.notes)
-    told = vj.io.read_measured_curve(source | {"phase": degrees}, units=dict(phase="deg"))
-    np.testing.assert_array_equal(told.phase, curve.phase)
+    in_degrees = vj.io.read_measured_curve(source | {"phase": degrees}, units=dict(phase="deg"))
+    np.testing.assert_array_equal(in_degrees.phase, curve.phase)
     both = source | {"real [m]": RESPONSE.real, "imag [m]": RESPONSE.imag}
     assert vj.io.read_measured_curve(both).phase is None
 

@@ -28,7 +28,7 @@ def test_derived_numbers():
     assert beam.frequency_scale == pytest.approx(wave)
 
 
-def test_straight_and_bare_unless_told():
+def test_straight_and_bare_unless_asked():
     beam = Cantilever(0.2, 0.025, 1e-3, 130e9, 8250.0)
     assert (beam.taper, beam.mass_ratio, beam.tip_mass) == (0.0, 0.0, 0.0)
 

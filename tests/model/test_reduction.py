@@ -101,7 +101,7 @@ def test_damping_ratios_and_no_stops():
         found.system(damping_ratio=-0.1)
 
 
-def test_small_sparse_matrices_are_a_system_and_large_ones_are_told_to_be_reduced():
+def test_small_sparse_matrices_are_a_system_and_large_ones_are_asked_to_be_reduced():
     stiffness, mass, _ = matrices(4)
     tip = np.eye(8)[-2]
     ours, wanted = (

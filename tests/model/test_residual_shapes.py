@@ -157,8 +157,8 @@ def test_check_resolution_recommends_it():
     stops = vj.Stop(None, 1.0, vj.KelvinVoigt(10.0))
     given = {"stops": stops, "stop_map": [[1.0, 0.0]], "response_map": [1.0, 0.0], "num_modes": 1}
     system = vj.MatrixSystem(np.eye(2), 0 * stiffness, stiffness, **given)
-    told = vj.check_resolution(study, system)
-    assert "static_correction=True" in told.advice
-    assert told.advice in repr(told)
+    checked = vj.check_resolution(study, system)
+    assert "static_correction=True" in checked.advice
+    assert checked.advice in repr(checked)
     system = vj.MatrixSystem(np.eye(2), 0 * stiffness, stiffness, **given, static_correction=True)
     assert vj.check_resolution(study, system).advice == ""

@@ -111,7 +111,7 @@ def test_what_is_no_displacement_of_a_beam(beam, displacement, sentence):
         beam.state(displacement)
 
 
-def test_a_displacement_that_the_modes_leave_out_is_told(beam):
+def test_a_displacement_that_the_modes_leave_out_is_said(beam):
     with pytest.warns(UserWarning, match=r"The 2 modes of the model leave out \d+ % of this disp"):
         beam.state(lambda s: 1e-3)
 
@@ -273,9 +273,9 @@ def test_a_good_guess_is_silent(double):
 
 
 @pytest.mark.slow  # to compile
-def test_a_guess_in_other_coordinates_is_told(double):
+def test_a_guess_in_other_coordinates_is_said(double):
     heavy = oscillator(4.0)
-    told = []
+    messages = []
     for factor in (1.0, 0.5, 0.2, 0.1, 4.0, 1e200):  # 2 would be right
         with pytest.warns(
             UserWarning, match="From this guess: .* States are in the coordinates"
@@ -286,17 +286,17 @@ def test_a_guess_in_other_coordinates_is_told(double):
                 guess=factor * double.initial_state,
                 settings=vj.PeriodicSettings(period=2),
             )
-        told.append(str(said[0].message))
+        messages.append(str(said[0].message))
         assert np.isfinite(found.amplitude_ratio) == (int(found.status) == 0)
         if int(found.status) == 0:
             assert float(found.guess_distance) > 0.3
             assert "away from the guess: it may be another motion" in repr(found)
-    assert any("No periodic motion was found" in one for one in told)
-    assert any("away from the guess" in one for one in told)
+    assert any("No periodic motion was found" in one for one in messages)
+    assert any("away from the guess" in one for one in messages)
 
 
 @pytest.mark.slow  # to compile
-def test_a_motion_of_a_lower_period_is_told(double):
+def test_a_motion_of_a_lower_period_is_said(double):
     one = oscillator()
     once = vj.periodic_response(one, frequency=FREQUENCY, guess=[-0.44, 0.81])
     assert (int(once.status), int(once.minimal_period), bool(once.stable)) == (0, 1, False)

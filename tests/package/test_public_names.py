@@ -106,7 +106,7 @@ def refuses(function):
     return False
 
 
-def tells_errors(text):
+def gives_errors(text):
     said = r"([Rr]aises|[Rr]efuse.*with)\s+(an?\s+)?`\w+(Error|Full)`"
     return re.search(said, text) is not None
 
@@ -119,7 +119,7 @@ def test_public_names_are_documented(name):
     if not inspect.isclass(value):
         function = inspect.unwrap(value)
         assert not unsaid(function, text)
-        assert tells_errors(text) or not refuses(function), "an error is not documented"
+        assert gives_errors(text) or not refuses(function), "an error is not documented"
 
 
 @pytest.mark.parametrize("name", CLASSES)
@@ -133,10 +133,10 @@ def test_fields_and_arguments_of_classes_are_documented(name):
     if started is not None and Path(started.__code__.co_filename).exists():  # not a dataclass's
         arguments = [p for p in unsaid(started, text) if not fields.get(p)]
         assert not arguments or comes_from_elsewhere(kind, "__init__")
-        assert tells_errors(text) or not refuses(started)
+        assert gives_errors(text) or not refuses(started)
     for check in ("__check_init__", "__post_init__"):
         if check in vars(kind) and refuses(vars(kind)[check]):
-            assert tells_errors(text), "an error of the constructor is not documented"
+            assert gives_errors(text), "an error of the constructor is not documented"
 
 
 @pytest.mark.parametrize(("kind", "name", "attribute"), members())
@@ -147,7 +147,7 @@ def test_methods_are_documented(kind, name, attribute):
     if comes_from_elsewhere(kind, name):
         return
     assert isinstance(attribute, property) or not unsaid(function, text)
-    assert tells_errors(text) or not refuses(function), "an error is not documented"
+    assert gives_errors(text) or not refuses(function), "an error is not documented"
 
 
 def test_completion_offers_public_names_only():

@@ -9,7 +9,7 @@ from vibrojax.stepping.replay import replayed_while
 
 
 def power(factor, start, most=50):
-    """Multiply until above 10; the exponent hangs on the numbers."""
+    """Multiply until above 10; the exponent depends on the numbers."""
     factor = jnp.asarray(factor)
 
     def body(carry, tick):

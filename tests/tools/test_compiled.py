@@ -1,4 +1,4 @@
-"""Functions that are compiled as a whole: what tells their programs apart, and where they run."""
+"""Functions that are compiled as a whole: by what their programs differ, and where they run."""
 
 import functools
 import gc
@@ -196,11 +196,11 @@ def watched(monkeypatch):
 
 
 def wait(seconds=0.3):
-    with waiting.telling("_point_slopes"):
+    with waiting.announced("_point_slopes"):
         waiting.time.sleep(seconds)
 
 
-def test_who_waits_is_told_once(watched, capsys):
+def test_a_wait_is_announced_once(watched, capsys):
     wait()
     wait()
     assert capsys.readouterr().err == "compiling, once: point slopes ...\n"
@@ -214,12 +214,12 @@ def test_tracing_what_is_compiled_ahead_is_waiting_too(watched, capsys):
 
     slow_to_trace.ahead(np.zeros(3))
     assert capsys.readouterr().err.endswith("slow to trace ...\n")
-    waiting._told = False
+    waiting._said = False
     slow_to_trace.ahead(np.zeros(3))  # there is nothing left to wait for
     assert capsys.readouterr().err == ""
 
 
-def test_who_waits_again_later_is_told_again(watched, capsys, monkeypatch):
+def test_a_later_wait_is_announced_again(watched, capsys, monkeypatch):
     monkeypatch.setattr(waiting, "PAUSE", 0.0)
     wait()
     waiting.time.sleep(0.01)

@@ -201,17 +201,17 @@ def end_while_compiling(process, number):
         assert process.poll() is None
         process.send_signal(number)
         started = time.monotonic()
-        told = process.stderr.read()
-    return told, time.monotonic() - started
+        printed = process.stderr.read()
+    return printed, time.monotonic() - started
 
 
 @pytest.mark.slow
 def test_a_command_that_compiles_ends(tmp_path):
     process = program_of(tmp_path, "-m", "vibrojax.cli.command", "sweep")
-    told, took = end_while_compiling(process, signal.SIGTERM)
+    printed, took = end_while_compiling(process, signal.SIGTERM)
     assert process.returncode == 128 + signal.SIGTERM
     assert took < LIMIT
-    assert "Traceback" not in told
+    assert "Traceback" not in printed
     assert list(tmp_path.iterdir()) == []
 
 
@@ -219,10 +219,10 @@ def test_a_command_that_compiles_ends(tmp_path):
 def test_a_map_that_compiles_ends_and_says_what_stays(tmp_path):
     axis = ("--axis", "gap=2e-4:1e-3:4", "--frequency-ratio", "0.9", "1.3", "9")
     process = program_of(tmp_path, "-m", "vibrojax.cli.command", "map", *axis)
-    told, took = end_while_compiling(process, signal.SIGINT)
+    printed, took = end_while_compiling(process, signal.SIGINT)
     assert process.returncode == 128 + signal.SIGINT
     assert took < LIMIT
-    assert told.endswith(
+    assert printed.endswith(
         "vibrojax: interrupted. Whole chunks are in map.zarr: the same command continues.\n"
     )
     assert [path.name for path in tmp_path.iterdir()] == ["map.zarr"]
@@ -233,10 +233,10 @@ def test_a_program_that_makes_a_map_ends(tmp_path):
     devices = "--xla_force_host_platform_device_count=2"
     command = (str(TESTS / "map_program.py"), "map.zarr", "8")
     process = program_of(tmp_path, *command, XLA_FLAGS=devices)
-    told, took = end_while_compiling(process, signal.SIGINT)
-    assert process.returncode == -signal.SIGINT, told
+    printed, took = end_while_compiling(process, signal.SIGINT)
+    assert process.returncode == -signal.SIGINT, printed
     assert took < LIMIT
-    assert told.rstrip().endswith("KeyboardInterrupt")
+    assert printed.rstrip().endswith("KeyboardInterrupt")
     assert xarray.open_zarr(tmp_path / "map.zarr", consolidated=False)["lane_status"].size == 8
 
 
@@ -244,10 +244,10 @@ def test_a_program_that_makes_a_map_ends(tmp_path):
 def test_a_program_that_runs_a_study_does_not_crash(tmp_path):
     study = "vj.frequency_sweep(vj.default_rig(num_modes=1), frequency_ratio=[0.9, 1.0])"
     process = program_of(tmp_path, "-c", f"import vibrojax as vj\n{study}")
-    told, _ = end_while_compiling(process, signal.SIGINT)
-    assert process.returncode == -signal.SIGINT, told
+    printed, _ = end_while_compiling(process, signal.SIGINT)
+    assert process.returncode == -signal.SIGINT, printed
     # What compiles in the background may still say that it has ended.
-    assert "KeyboardInterrupt" in told.splitlines()
+    assert "KeyboardInterrupt" in printed.splitlines()
 
 
 SECOND = """

@@ -2,7 +2,7 @@
 
 `compiled` is equinox's `filter_jit` with three things more. What was traced is kept on disk
 (`jax.export`), so that another process need not trace it again; XLA's part is in JAX's own cache.
-XLA is told to compile quickly where that costs no speed. And who waits for long is told why.
+XLA compiles quickly where that costs no speed. And a long wait is explained.
 
 Inside a transformation (jit, vmap, grad) it is `filter_jit`. So is what JAX cannot export, and what
 depends on functions or classes from outside of the packages that the cache is named by: their
@@ -28,7 +28,7 @@ from jax.core import Tracer
 from vibrojax._tools import cache
 from vibrojax._tools.machine import mappings_used
 from vibrojax._tools.programs import Parts, Program, kinds_of, sorted_out, tracing
-from vibrojax._tools.waiting import telling
+from vibrojax._tools.waiting import announced
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
@@ -164,7 +164,7 @@ class Compiled(Generic[Given, Result]):
         signature = _signature(arrays, parts)
         program = self.programs.get(signature)
         if program is None or program.call is None:
-            with telling(self.function.__qualname__):
+            with announced(self.function.__qualname__):
                 program = self._program(signature, parts, arrays)
                 program.compile(arrays)
         assert program.call is not None  # just compiled
@@ -180,7 +180,7 @@ class Compiled(Generic[Given, Result]):
             plain: Any = self.plain
             return lambda *arrays: plain(*parts.filled(arrays)[0])
         signature = _signature(arrays, parts)
-        with telling(self.function.__qualname__):
+        with announced(self.function.__qualname__):
             program = self._program(signature, parts, arrays)
             if program.call is None:
                 program.compile(arrays)
@@ -231,7 +231,7 @@ class Compiled(Generic[Given, Result]):
         signature = _signature(arrays, parts)
         program = self.programs.get(signature)
         if program is None or program.is_new:
-            with telling(self.function.__qualname__):
+            with announced(self.function.__qualname__):
                 program = self._program(signature, parts, arrays)
                 program.compile_ahead(arrays)
         return program.kinds(arrays)
@@ -281,7 +281,7 @@ class Compiled(Generic[Given, Result]):
         if folder is None or local or not _is_known(self.function):
             return None
         called = f"{self.function.__module__}.{self.function.__qualname__}"
-        # An array is told from the None of a field that holds nothing.
+        # An array differs from the None of a field that holds nothing.
         arguments = parts.filled([...] * len(signature.traced))
         where = jax.default_backend(), _device().device_kind
         try:

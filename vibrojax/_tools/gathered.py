@@ -24,7 +24,7 @@ def gathered(
 
     A function stops wherever it asks. When all that have not ended ask, the thread of the caller
     answers them together: `answer` takes what they ask for by their number and returns the answers.
-    Where it raises, or an interrupt comes, the functions are told by `Stopped`, and it is raised
+    Where it raises, or an interrupt comes, the functions learn of it by `Stopped`, and it is raised
     when they have ended.
     """
     asked: queue.SimpleQueue[tuple[int, Any] | None] = queue.SimpleQueue()

@@ -129,7 +129,7 @@ def tracing() -> Iterator[None]:
     """Leave out what takes time and nobody looks at.
 
     Garbage stays where it is: tracing makes hardly any, and much that is looked through for it. And
-    no operation is told which lines of Python it is from, which XLA copies from pass to pass.
+    no operation knows which lines of Python it is from, which XLA copies from pass to pass.
     """
     collects, lines = gc.isenabled(), getattr(jax.config, LINES, 0)
     gc.disable()

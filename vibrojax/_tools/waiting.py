@@ -12,20 +12,20 @@ PAUSE = 5.0
 """Seconds without compiling after which it is said again."""
 
 _lock = threading.Lock()
-_spent, _ended, _told = 0.0, 0.0, False
+_spent, _ended, _said = 0.0, 0.0, False
 
 
 @contextmanager
-def telling(program: str) -> Iterator[None]:
+def announced(program: str) -> Iterator[None]:
     """Say that a program compiles where that, with those just before, takes longer than a while."""
-    global _spent, _ended, _told
+    global _spent, _ended, _said
     with _lock:
         if time.monotonic() - _ended > PAUSE:
-            _spent, _told = 0.0, False
-        timer = threading.Timer(max(PATIENCE - _spent, 0.0), _tell, (program,))
+            _spent, _said = 0.0, False
+        timer = threading.Timer(max(PATIENCE - _spent, 0.0), _say, (program,))
         timer.daemon = True
     started = time.monotonic()
-    if not _told and _is_watched():
+    if not _said and _is_watched():
         timer.start()
     try:
         yield
@@ -36,14 +36,14 @@ def telling(program: str) -> Iterator[None]:
             _spent += _ended - started
 
 
-def _tell(program: str) -> None:
-    global _told
+def _say(program: str) -> None:
+    global _said
     from tqdm import tqdm
 
     with _lock:
-        if _told:
+        if _said:
             return
-        _told = True
+        _said = True
     words = program.rpartition(".")[2].strip("_").replace("_", " ")
     tqdm.write(f"compiling, once: {words} ...", file=sys.stderr)  # above a bar that is shown
 

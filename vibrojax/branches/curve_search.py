@@ -26,7 +26,7 @@ COLLAPSED = 0.1
 BOUNCED = 1.5
 """By how much a pair may last longer where it was about to vanish."""
 SWELLED = 0.05
-"""Least relative change of a contact's duration from which it is told whether the curve turned."""
+"""Least relative change of a contact's duration that shows whether the curve turned."""
 LOOSE = 1e-8
 """Drive angle, rad, by which a march is off that has gone astray."""
 FARTHEST = 0.16
@@ -160,7 +160,7 @@ class CurveSearch:
         return False
 
     def turns_round(self, last: OnCurve, found: OnCurve) -> bool:
-        """Whether a contact came to last longer where its rates say shorter, or the reverse.
+        """Whether a contact lasts longer where its rates say shorter, or the reverse.
 
         Then the curve has turned round in between, within less than the step.
         """

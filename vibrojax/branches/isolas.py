@@ -129,7 +129,7 @@ def _at_stops(towards_stop: np.ndarray, states: np.ndarray) -> np.ndarray:
 
 
 class Turn(NamedTuple):
-    """Where a walk in the opening turns round before it comes to the gaps of the rig."""
+    """Where a walk in the opening turns round before it reaches the gaps of the rig."""
 
     value: float
     opening: float
@@ -214,8 +214,8 @@ def _passed(
 ) -> Generator[Any, Any, tuple[list[np.ndarray], list[tuple[float, tuple[Any, ...]]]]]:
     """Walk, and return the states of motions at which the parameter is zero again.
 
-    Also the openings at which it turns round on the way to zero, each with what tells it from the
-    others: the way, the stops that are touched and left, and how many turns came before.
+    Also the openings at which it turns round on the way to zero, each with what distinguishes it
+    from the others: the way, the stops that are touched and left, and how many turns came before.
     """
     states, turned = [], []
     begin = yield from walk.search.solve(walk.search.pinned(start, 0.0))

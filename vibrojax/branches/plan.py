@@ -40,7 +40,7 @@ class Plan(NamedTuple):
     def trace(
         self, paths: AbstractPath, start: np.ndarray, guess: Any = None, **others: Any
     ) -> list[Traced]:
-        """Trace some lanes; upwards from free flight, or as `trace_over` is told."""
+        """Trace some lanes; upwards from free flight, or as `trace_over` says."""
         return trace_over(
             paths,
             start,

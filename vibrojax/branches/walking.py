@@ -153,7 +153,7 @@ class Walk:
     def leap(self) -> Steps:
         """Go on a little farther, whatever the contacts are there; says whether that is possible.
 
-        Where a motion chatters, more touches lie on the way than can be told from each other.
+        Where a motion chatters, more touches lie on the way than can be distinguished.
         """
         last, search = self.points[-1], self.search
         self.leaps += 1

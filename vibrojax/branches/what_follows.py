@@ -24,7 +24,7 @@ BEFORE, OBSERVED, LONGEST = 500, 160, 16
 SIDE_BY_SIDE = 8
 """Marches in one call, where there are several: most branches have few."""
 MOST = 32
-"""Points of a branch of which it is told: one between chattering motions may have hundreds."""
+"""Most points of a branch that are looked at: one between chattering motions may have hundreds."""
 RETURN = 1e-5
 """Relative return that makes a period: next to a touch what branches off is very small."""
 

@@ -18,7 +18,7 @@ from vibrojax.results.saving import save_dataset
 from vibrojax.results.status import Status
 
 PERIODS = 100
-"""Drive periods of a harmonic drive, unless told otherwise."""
+"""Drive periods of a harmonic drive, unless given otherwise."""
 
 
 def run_simulate(options: Simulate) -> int:

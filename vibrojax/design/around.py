@@ -1,6 +1,6 @@
 """An exact motion of a branch as a function of where on the curve it is, and of the rig's numbers.
 
-The curve of all motions is regular where it folds too: a motion is told by how far it is along the
+The curve of all motions is regular where it folds too: a motion is known by how far it is along the
 tangent of the curve at one that is known. What is measured there has derivatives along the curve
 and in the numbers, and so has every place that a condition says: a fold, a peak, where a level is
 crossed.

@@ -337,14 +337,14 @@ def _sentence(
     missed = ""
     if not goal.meets(best.values):
         values, excess = best.values, goal.excess(best.values)
-        told = ", ".join(
+        closest = ", ".join(
             f"{words_for(names[k])} is {values[k]:.5g} and must be "
             f"{allowed(goal.least[k], goal.most[k])}"
             for k in goal.bounded
             if abs(excess[k]) > goal.tolerance
         )
         missed = (
-            f"None of the {count} designs tried meets all constraints. Nearest to them, {told}."
+            f"None of the {count} designs tried meets all constraints. Nearest to them, {closest}."
         )
     if status == "infeasible":
         return f"{missed} Widen the bounds of the variables, or the constraints."

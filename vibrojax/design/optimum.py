@@ -152,14 +152,14 @@ class Optimum(AbstractSaved):
             "end": [end.search for end in ends],
             "side": (1, 2) if near else (),
         }
-        told = {
+        attributes = {
             "objective": self.objective,
             "maximise": int(self.maximise),
             "active": ", ".join(self.active),
             "status": self.status,
             "sentence": self.sentence,
         }
-        return output_dataset(values, axes, told)
+        return output_dataset(values, axes, attributes)
 
     def plot(self) -> "Figure":
         """Draw the values that were tried, the ways of the searches, and the neighbours.
@@ -188,8 +188,8 @@ class Optimum(AbstractSaved):
         lines += [f"  held by: {', '.join(self.active)}"] if self.active else []
         for name in self.numbers if self.neighbours else ():
             near = [n for n in self.neighbours if n.name == name]
-            told = ", ".join(f"{n.value:.5g} at {n.number:.4g}" for n in near)
-            lines.append(f"  next to it in {words_for(name)}: {told}")
+            neighbours = ", ".join(f"{n.value:.5g} at {n.number:.4g}" for n in near)
+            lines.append(f"  next to it in {words_for(name)}: {neighbours}")
         return "\n".join([*lines, f"  {self.sentence}"])
 
 

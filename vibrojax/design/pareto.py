@@ -92,8 +92,8 @@ class ParetoFront(AbstractSaved):
             "constraint": list(self.constraints),
             "evaluation": range(1, len(self.tried) + 1),
         }
-        told = {"maximise": ", ".join(self.maximise), "sentence": self.sentence}
-        return output_dataset(values, axes, told)
+        attributes = {"maximise": ", ".join(self.maximise), "sentence": self.sentence}
+        return output_dataset(values, axes, attributes)
 
     def plot(self) -> "Figure":
         """Draw both objectives against each other, and the designs along the front.

@@ -259,12 +259,12 @@ def _is_stable(known: KnownBranch, a: Knot, b: Knot) -> bool:
     """Whether the motions between two knots are stable, by their points of known stability."""
     points, stable = known.walk.points, known.branch.stable
     touch = known.walk.touch_in(a.cell)
-    told = []
+    stabilities = []
     for knot, own in ((a, a.cell), (b, a.cell + 1)):
         # At a touch itself multipliers are those of the side without the contact.
         if knot.motion is points[own] and not (touch is not None and own == touch.at):
-            told.append(bool(stable[own]))
-    return bool(told) and all(told)
+            stabilities.append(bool(stable[own]))
+    return bool(stabilities) and all(stabilities)
 
 
 def pieces_of(known: KnownBranch, *, stable: bool = True) -> list[Piece]:

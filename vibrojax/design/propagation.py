@@ -20,7 +20,7 @@ ALIKE = 0.05
 APART = 0.25
 """Share of the range of what first order leaves over that a jump leaves empty, at least."""
 FEW = 16
-"""Samples from which it is told whether the measure jumps or bends."""
+"""Samples that show whether the measure jumps or bends."""
 ROUNDING = 1e-12
 UNSAID = "nothing is said why."
 
@@ -123,11 +123,11 @@ class Propagation(AbstractSaved):
         if scatter <= ROUNDING * np.max(np.abs(values)):
             return "It does not scatter with these numbers."
         # Both of the same rigs, so that few of them do.
-        told = f"First order gives {100 * np.std(line) / scatter:.3g} % of the scatter:"
+        explained = f"First order gives {100 * np.std(line) / scatter:.3g} % of the scatter:"
         off = values - self.value[k] - line
         if np.mean(off**2) <= ALIKE * scatter**2:
-            return f"{told} within these distributions it is nearly linear."
-        return f"{told} within these distributions it {_how_it_bends(off)}. Go by the samples."
+            return f"{explained} within these distributions it is nearly linear."
+        return f"{explained} within these distributions it {_how_it_bends(off)}. Go by the samples."
 
     @property
     def warnings(self) -> tuple[str, ...]:

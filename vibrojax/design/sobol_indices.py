@@ -78,12 +78,12 @@ def sobol_indices(
         if np.ptp(kept) == 0:
             found[:, k] = 0.0
             continue
-        told = analyse.analyze(
+        indices = analyse.analyze(
             _problem(numbers),
             kept,
             calc_second_order=False,
             conf_level=CONFIDENCE,
             seed=seed + 1,  # 0 would be no seed to SALib
         )
-        found[:, k] = [told[name] for name in ("S1", "S1_conf", "ST", "ST_conf")]
+        found[:, k] = [indices[name] for name in ("S1", "S1_conf", "ST", "ST_conf")]
     return SobolIndices(*found, base=good.sum(axis=0), asked=len(rows))

@@ -51,8 +51,8 @@ def zipped(**values: Any) -> Zipped:
         _axis(name, given)
     lengths = {name: len(given) for name, given in values.items()}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} has {count}" for name, count in lengths.items())
-        raise ValueError(f"zipped needs lists of equal lengths: {told}.")
+        counts = ", ".join(f"{name} has {count}" for name, count in lengths.items())
+        raise ValueError(f"zipped needs lists of equal lengths: {counts}.")
     return Zipped(values)
 
 

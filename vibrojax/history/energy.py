@@ -100,7 +100,7 @@ class EnergyFlow:
             "time": ("s", "Time", over_time),
         }
         return dataset(
-            {name: (dims, getattr(self, name), *told) for name, (*told, dims) in described.items()},
+            {name: (dims, getattr(self, name), *rest) for name, (*rest, dims) in described.items()},
             numbered("mode", self.modal_energy.shape[1])
             | numbered("stop", self.stop_energy.shape[1]),
         )

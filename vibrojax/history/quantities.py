@@ -120,7 +120,7 @@ Motions = tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]
 def observable_motion(history: SampledMotion, name: str) -> Motions:
     """Return an observable of the equations, its rate and the rate of that.
 
-    Of an internal state the latter is not told (NaN): it may jump.
+    Of an internal state the latter is not given (NaN): it may jump.
     """
     equations, motion = history.motion.equations, history.motion
     if name in (names := _internal_names(equations)):

@@ -18,8 +18,8 @@ def used(measured: MeasuredCurve) -> list[str]:
     sentences = []
     kind = measured.drive_signal or "force or displacement of the base"
     if measured.phase is not None:
-        told = "" if measured.drive_signal else ", as no drive_signal says another"
-        sentences.append(f"The phase was fitted too: ahead of the {kind} that drives{told}.")
+        reason = "" if measured.drive_signal else ", as no drive_signal says another"
+        sentences.append(f"The phase was fitted too: ahead of the {kind} that drives{reason}.")
     if measured.drive_amplitude is not None:
         low, high = measured.drive_amplitude.min(), measured.drive_amplitude.max()
         unit = f" {DRIVES[measured.drive_signal]}" if measured.drive_signal else ""

@@ -55,8 +55,8 @@ def fitted_data(
 
     put("residual", "point", residual, "Distance over standard deviation")
     if influence is not None:
-        told = "Change of the number without the point over its deviation"
-        data["influence"] = ("point", "parameter"), influence, {"long_name": told, "units": "1"}
+        words = "Change of the number without the point over its deviation"
+        data["influence"] = ("point", "parameter"), influence, {"long_name": words, "units": "1"}
     if isinstance(measured, MeasuredHistory):
         seen = measured.observations()
         put("measured_time", "point", measured.time[seen.sample], "Time", "s")

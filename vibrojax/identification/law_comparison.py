@@ -96,7 +96,7 @@ class LawComparison:
         count = [fit.degrees_of_freedom + len(fit.names) for fit in fits.values()]
         akaike = self._criterion(2.0)
         likely = np.exp(-akaike / 2)
-        told = {
+        described_values = {
             "chi_square": ([f.chi_square for f in fits.values()], "Chi-square"),
             "numbers": ([len(f.names) for f in fits.values()], "How many numbers were fitted"),
             "observations": (count, "How many samples there are"),
@@ -106,7 +106,7 @@ class LawComparison:
         }
         data: dict[str, Any] = {
             name: ("law", np.asarray(values, float), {"long_name": long_name, "units": "1"})
-            for name, (values, long_name) in told.items()
+            for name, (values, long_name) in described_values.items()
         }
         coordinates: dict[str, Any] = {"law": list(fits)}
         foretold = np.array([one.foretold for one in self.judged.values()])

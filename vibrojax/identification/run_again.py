@@ -129,7 +129,7 @@ def _argument(written: Source, name: str, value: Any) -> str:
 
 
 def _csv(columns: Mapping[str, np.ndarray]) -> str:
-    # As Python writes numbers: numpy may have been told to write fewer digits.
+    # As Python writes numbers: numpy may have been set to write fewer digits.
     return pd.DataFrame(dict(columns)).astype(object).to_csv(index=False)
 
 

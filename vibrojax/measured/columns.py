@@ -127,13 +127,13 @@ def column_unit(
 
 def taken(table: Table, columns: Mapping[str, str], units: Mapping[str, str]) -> str:
     """Return a sentence that says which column was taken for what, in which unit."""
-    told = [
+    assignments = [
         f"{column!r} as {key.replace('_', ' ')}" + (f" in {units[key]}" if key in units else "")
         for key, column in columns.items()
     ]
     left = [name for name in table.columns if name not in columns.values()]
     unused = f"; not used: {listed(left)}" if left else ""
-    return f"Columns were taken so: {', '.join(told)}{unused}."
+    return f"Columns were taken so: {', '.join(assignments)}{unused}."
 
 
 class Unusable:

@@ -251,7 +251,7 @@ class MeasuredCurve:
         return "1" if self.is_ratio else SIGNALS[self.signal]
 
     @property
-    def _drive_told(self) -> str:
+    def _drive_described(self) -> str:
         """What the drive was measured as, and its unit."""
         known = self.drive_signal
         return f"{known}, {DRIVES[known]}" if known else "in the unit of the rig's, N or m"
@@ -337,8 +337,8 @@ class MeasuredCurve:
         for name in ("phase", "drive_amplitude"):
             values = getattr(self, name)
             if values is not None:
-                told = "phase, rad" if name == "phase" else f"drive, {self._drive_told}"
-                lines.append(f"  {told}: {np.nanmin(values):.4g} to {np.nanmax(values):.4g}")
+                label = "phase, rad" if name == "phase" else f"drive, {self._drive_described}"
+                lines.append(f"  {label}: {np.nanmin(values):.4g} to {np.nanmax(values):.4g}")
         if self.contact_force is not None:
             lines.append(f"  contact force, N: up to {np.max(self.contact_force):.5g}")
         channels = [n for n in ("amplitude", "contact_force") if getattr(self, n) is not None]

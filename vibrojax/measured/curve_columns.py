@@ -262,12 +262,14 @@ class CurveColumns:
         column = self.columns["drive"]
         self.drive_signal = UNITS[self.unit["drive"]].kind
         words = split_header(column).words
-        told = next((q for w, q in _QUANTITY_WORDS.items() if re.search(w, words)), "amplitude")
-        self.drive_factor = _OF_AMPLITUDE.get(told, 1.0)
+        kind_of_drive = next(
+            (q for w, q in _QUANTITY_WORDS.items() if re.search(w, words)), "amplitude"
+        )
+        self.drive_factor = _OF_AMPLITUDE.get(kind_of_drive, 1.0)
         kind = "force" if self.drive_signal == "force" else f"{self.drive_signal} of the base"
         self.notes.append(
             f"Column {column!r} was taken for the drive at each point: the {kind}, "
-            f"{told.replace('_', ' ')}. columns=dict(drive=None) leaves it out."
+            f"{kind_of_drive.replace('_', ' ')}. columns=dict(drive=None) leaves it out."
         )
 
     def _find_quantity(self, quantity: str | None, signal: str | None, frame: str | None) -> None:

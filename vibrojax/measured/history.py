@@ -315,8 +315,8 @@ class MeasuredHistory:
         parts = {"gain": "", "offset": f" {CHANNELS[channel]}", "delay": " s"}
         given = [(n, getattr(self, n).get(channel), u) for n, u in parts.items()]
         missing = int(np.sum(np.isnan(getattr(self, channel))))
-        told = [f", {name} {value:g}{unit}" for name, value, unit in given if value is not None]
-        return "".join([*told, f", {self.size - missing} samples" * (missing > 0)])
+        details = [f", {name} {value:g}{unit}" for name, value, unit in given if value is not None]
+        return "".join([*details, f", {self.size - missing} samples" * (missing > 0)])
 
     def __repr__(self) -> str:
         named = f"{self.label!r}, " if self.label else ""

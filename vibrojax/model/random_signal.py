@@ -16,7 +16,7 @@ from vibrojax._tools.signatures import validated
 from vibrojax.model.signals import Sampled
 
 PER_PERIOD = 20.0
-"""Samples in a period of the highest frequency, unless told otherwise."""
+"""Samples in a period of the highest frequency, unless given otherwise."""
 
 
 @validated

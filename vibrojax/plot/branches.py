@@ -113,7 +113,7 @@ def _heights(branch: xarray.Dataset, kind: str, axis: str, variable: str) -> np.
 def _lay_sweep(axes: Axes, sweep: xarray.Dataset, variable: str) -> None:
     x = sweep[sweep[variable].dims[-1]].values
     for direction in sweep["direction"].values.tolist():
-        # Filled and hollow: told apart without colour too.
+        # Filled and hollow: distinct without colour too.
         hollow = direction == "backward"
         color = COLORS["black"] if hollow else COLORS["orange"]
         style: dict[str, Any] = {"linestyle": "none", "marker": MARKERS[direction], "zorder": 2}

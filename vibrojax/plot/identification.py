@@ -168,8 +168,8 @@ def _residual_axis(axes: Axes, label: str) -> None:
 
 def _written(estimates: xarray.Dataset) -> list[Line]:
     """Return the table of the estimates, the misfit and the warnings as lines of text."""
-    told, head, odd = estimates.attrs, {"color": GREY}, {"color": COLORS["backward"]}
-    percent = f"{100 * told['confidence']:g} % interval"
+    attributes, head, odd = estimates.attrs, {"color": GREY}, {"color": COLORS["backward"]}
+    percent = f"{100 * attributes['confidence']:g} % interval"
     rows = [("number, SI", "estimate", percent, "the data say")]
     for name in estimates["parameter"].values.tolist():
         own = estimates.sel(parameter=name)
@@ -186,14 +186,15 @@ def _written(estimates: xarray.Dataset) -> list[Line]:
         first, *more = textwrap.wrap(row[3], room)
         lines.append(list(zip(places, (*row[:3], first), styles, strict=True)))
         lines += [[(places[3], rest, styles[3])] for rest in more]
-    count = told["number_of_measurements"]
+    count = attributes["number_of_measurements"]
     misfit = (
-        f"reduced chi-square {told['reduced_chi_square']:.3f} ({told['degrees_of_freedom']} "
-        f"degrees of freedom), {told['values_measured']} points"
+        f"reduced chi-square {attributes['reduced_chi_square']:.3f} "
+        f"({attributes['degrees_of_freedom']} degrees of freedom), "
+        f"{attributes['values_measured']} points"
         f"{f' in {count} measurements' * (count > 1)}"
     )
     lines += [[], [(0.0, misfit, {})]]
-    warnings = told["warnings"].splitlines()
+    warnings = attributes["warnings"].splitlines()
     for warning in warnings[:MOST_WARNINGS]:
         # The first sentence: the others are in the report.
         words = f"Warning: {warning.partition('. ')[0].rstrip('.')}."

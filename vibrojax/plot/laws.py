@@ -61,14 +61,14 @@ def _judge(axes, laws: xarray.Dataset, names: list[str]) -> None:
     places = np.arange(len(names))[::-1]
     colors = [SERIES[k % len(SERIES)] for k in range(len(names))]
     if "foretold" in laws:
-        values, told = laws["foretold"], "Mean square of residuals of\nrecords left out (1: noise)"
+        values, label = laws["foretold"], "Mean square of residuals of\nrecords left out (1: noise)"
         axes.barh(places, values.mean("record"), height=0.6, color=colors, alpha=0.45)
         each = values.transpose("record", "law").values
         axes.plot(each.T, np.tile(places[:, None], len(each)), "o", color="black", markersize=4)
         axes.set_xlim(left=0.0)
         axes.axvline(1.0, color=COLORS["grey"], linestyle=":")
     else:
-        told = "Akaike's criterion above its least"
+        label = "Akaike's criterion above its least"
         axes.barh(places, laws["akaike"], height=0.6, color=colors, alpha=0.45)
     axes.set_yticks(places, [in_words(name) for name in names])
-    name_axes(axes, told)
+    name_axes(axes, label)

@@ -125,8 +125,8 @@ def _read_axis(dataset: xarray.Dataset, variable: str, name: str) -> MapAxis:
         name = next(iter(numeric), along[0])
     others = [n.replace("_", " ") for n in along if n not in (name, dimension)]
     partners = f", with {' and '.join(others)}" if others else ""
-    told = axis_description(name) | dataset[name].attrs
-    described = name, dimension, told["long_name"], units_of(dataset, name), partners
+    attributes = axis_description(name) | dataset[name].attrs
+    described = name, dimension, attributes["long_name"], units_of(dataset, name), partners
     values = dataset[name].values
     if name in numeric:
         places = np.sort(values).astype(float)

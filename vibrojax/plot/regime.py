@@ -52,7 +52,7 @@ POINTS: dict[str, dict[str, Any]] = {
         "markeredgewidth": 0.5,
     },
 }
-"""Filled points upwards, rings downwards: told apart without colour too."""
+"""Filled points upwards, rings downwards: distinct without colour too."""
 STARTS_AT = 5
 """Share of the periods, percent, before which a mean is not drawn: it says nothing yet."""
 ATTRACTORS = SERIES[:7]

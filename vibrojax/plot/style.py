@@ -128,8 +128,8 @@ def finish(axes: Axes, x: str, y: str, title: str = "") -> Figure:
 
 def label_for(array: xarray.DataArray) -> str:
     """Return the long name of a variable or coordinate with its unit."""
-    told = axis_description(str(array.name)) | array.attrs
-    return with_unit(told["long_name"], told["units"])
+    attributes = axis_description(str(array.name)) | array.attrs
+    return with_unit(attributes["long_name"], attributes["units"])
 
 
 def fixed_names(view: xarray.Dataset) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ HIGHEST_ORDER = 8
 
 @validated
 class RegimeSettings(AbstractSettings):
-    """How regimes are told apart. Raises `ValueError` for settings that cannot work."""
+    """How regimes are distinguished. Raises `ValueError` for settings that cannot work."""
 
     transient: int = eqx.field(static=True, default=200)
     """Drive periods marched before anything is looked at."""

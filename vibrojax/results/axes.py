@@ -127,8 +127,8 @@ def lane_of(
     """
     index, left = pick(axes, selection)
     if left := [name for name in left if len(axes[name]) > 1]:
-        told = example(axes, left[0])
-        raise ValueError(f"Give a value of {' and '.join(left)} too, such as {told}.")
+        given = example(axes, left[0])
+        raise ValueError(f"Give a value of {' and '.join(left)} too, such as {given}.")
     lane = (0 if isinstance(at, slice) else at for at in index)
     return dataset.isel(dict(zip(axes, lane, strict=True)))
 
@@ -168,8 +168,8 @@ class AxisScale(NamedTuple):
     @property
     def label(self) -> str:
         """Long name and unit of the number, and what changes along with it."""
-        told = axis_description(self.number)
-        return with_unit(told["long_name"], told["units"]) + self.partners
+        attributes = axis_description(self.number)
+        return with_unit(attributes["long_name"], attributes["units"]) + self.partners
 
 
 def axis_scale(axes: Mapping[str, Array], name: str) -> AxisScale:

@@ -48,7 +48,7 @@ class Followed(NamedTuple):
     """What became of a step along the branch."""
 
     good: Bool[Array, "..."]
-    """Whether it came to a stable motion that continues the last; contacts are not looked at."""
+    """Whether it reached a stable motion that continues the last; contacts are not looked at."""
     state: Float[Array, "... states"]
     """(q, q') at drive phase 0."""
     rounds: Int[Array, "..."]

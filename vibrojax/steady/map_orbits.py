@@ -115,7 +115,7 @@ def least_periods(
     """Return the least periods, from `first` on, of orbits found with a multiple of them.
 
     A motion that alternates about its orbit while it settles returns best after twice the period,
-    and one that is followed may come to the end of its doubling. `after` says where some of the
+    and one that is followed may reach the end of its doubling. `after` says where some of the
     orbits are after so many drive periods.
     """
     period, size = period.copy(), np.linalg.norm(state, axis=1)

@@ -28,7 +28,7 @@ STEADY = 3
 """Periods in a row that have to look settled."""
 SLOW, MODES = 0.2, 8
 """Longest return, over the size of a motion, that is one of slow settling; modes of its decay that
-are told from each other."""
+are distinguished."""
 UNDAMPED = 1e-9
 """Decay, over the highest angular frequency of a rig, that counts as none."""
 FEW_PERIODS, MANY_PERIODS = 600, 10_000

@@ -32,7 +32,7 @@ from vibrojax.stepping.runs import AbstractRun
 lax = jax.lax
 
 ROUNDS = 4000
-"""Rounds in a drive period before a lane is given up, unless told otherwise."""
+"""Rounds in a drive period before a lane is given up, unless given otherwise."""
 GIVEN_UP = jnp.inf
 """State of a lane that was given up; NaN is one whose motion stopped being finite."""
 TOGETHER = 0.3

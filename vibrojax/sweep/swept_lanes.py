@@ -98,7 +98,7 @@ def sweep_rigs(
     shape = (count, ways, len(plan.grid))
     curves = {name: values.reshape(shape) for name, values in feed.curves.items()}
     settled = curves["status"] == Status.settled.value
-    # What was followed has not jumped; both directions tell by each other.
+    # What was followed has not jumped; two directions show it by each other.
     allowed = np.ones(shape, bool) if ways == 2 else curves["periods_marched"] > 0
     given = curves["amplitude_ratio"], settled, allowed, plan.directions
     found = find_jumps(*given)
