@@ -360,3 +360,33 @@ def test_orbits_have_the_least_of_their_periods():
     for first, least in ((1, [4, 3, 2, 5]), (3, [4, 3, 4, 5])):
         given = found, state(every, 0), np.full(4, first), state
         np.testing.assert_array_equal(least_periods(*given), least)
+
+
+@pytest.mark.slow
+def test_newtons_method_is_tried_again_where_a_march_has_settled():
+    """Period 8, multipliers near 1: too far from the limit at first. Rig 295 of the random ones."""
+    numbers = (
+        (0.3164720779321395, 0.5076499096178826e-3, 62062.9862381028, 20.659433063563053),
+        (0.1773907889671888, 1.1160687075052916e-3, 1354474.5019817306, 0.4420783333145162),
+    )
+    stops = (
+        vj.Stop(position, gap, vj.KelvinVoigt(stiffness, damping), side=side)
+        for side, (position, gap, stiffness, damping) in zip((1, -1), numbers, strict=True)
+    )
+    system = vj.ImpactingBeam(
+        vj.default_rig(taper=0.5384652241615983, mass_ratio=9.065448576640234).beam,
+        stops=tuple(stops),
+        drive=vj.BaseMotion(4.687820645142959e-3),
+        damping_ratio=0.017351517769537073,
+        num_modes=1,
+    )
+
+    def swept(tolerance):
+        settings = vj.SweepSettings("backward", tolerance=tolerance, refine_jumps=None)
+        ratios = np.linspace(0.6, 2.0, 20)[11:]
+        return vj.frequency_sweep(system, frequency_ratio=ratios, settings=settings)
+
+    near, exact = swept(1e-4), swept(1e-10)
+    assert near.period[0, 0] == exact.period[0, 0] == 8
+    np.testing.assert_allclose(near.amplitude_ratio, exact.amplitude_ratio, rtol=2e-9)
+    np.testing.assert_allclose(near.contact_force, exact.contact_force, rtol=2e-8)

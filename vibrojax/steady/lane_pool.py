@@ -6,7 +6,8 @@ always the fullest stage, on as many lanes as one loop takes.
 
 A lane that has settled is followed to its next frequency where that can be, by its contact times
 (`following`) or on the map of its period (`map_orbits`); all else is marched. First the march goes
-near to the limit, for Newton's method; what that does not settle marches on to the full tolerance.
+near to the limit, for Newton's method; what that does not settle marches on to the full tolerance
+and is tried once more.
 """
 
 from collections.abc import Callable
@@ -45,6 +46,9 @@ from vibrojax.stepping.resonance import is_unbounded
 from vibrojax.stepping.stepper import AbstractMarch
 
 MARCH, APPROACH, POLISH, MEASURE, ORIENT, FOLLOW, READ, IDLE = range(8)
+
+ARRIVED = 0.0
+"""Limit of a lane that has marched to the full tolerance."""
 
 
 class LanePool:
@@ -141,8 +145,7 @@ class LanePool:
         first[(first == MARCH) & self.follow & (self.orbit.period[lanes] > 0)] = APPROACH
         first = np.where(self._grows(lanes), MEASURE, first)
         self.stage[lanes] = np.where(active, first, IDLE)
-        self.pace[lanes] = np.inf
-        self.search.steps[lanes], self.search.marched[lanes] = 0, 0
+        self.pace[lanes], self.search.steps[lanes], self.search.marched[lanes] = np.inf, 0, 0
         self.oriented[lanes], self.limit[lanes] = False, NEAR
         self._refresh(lanes[self.stage[lanes] == MARCH])
         self.predicted[lanes], self.residual[lanes] = self.stage[lanes] == APPROACH, np.inf
@@ -203,25 +206,20 @@ class LanePool:
         still = 3 * n // 4 if len(chosen) > n else n // 2
         search = self.searches.pick(lanes)
         search.columns().done[n:] = True
-        marched = march_some(
-            self._own(lanes),
-            search,
-            self.frequency[lanes],
-            self.limit[lanes],
-            self._most_periods(lanes),
-            np.int32(still),
-        )
+        given = self._own(lanes), search, self.frequency[lanes], self.limit[lanes]
+        marched = march_some(*given, self._most_periods(lanes), np.int32(still))
         # The last column is the period found.
         numbers = np.asarray(marched.numbers)[:n]
         self.searches.numbers[own] = numbers[:, :-1]
         arrived = self.search.done[own] > 0
         own, period = own[arrived], numbers[arrived, -1].astype(np.int32)
         self.state[own] = self.search.history[own, 0] / self.weight[own]
-        near, lost = self.limit[own] == NEAR, ~np.isfinite(self.state[own]).all(axis=1)
+        lost = ~np.isfinite(self.state[own]).all(axis=1)
         # Period 1 first: a slowly turning period-1 motion returns best after several periods.
         self.wanted[own], self.period[own] = np.minimum(period, 1), period
-        self.stage[own] = np.where(near & (period > 0), POLISH, MEASURE)
-        self.stage[own[near & (period == 1) & self.by_contacts[own]]] = ORIENT
+        self.stage[own] = np.where(period > 0, POLISH, MEASURE)
+        self.stage[own[(period == 1) & self.by_contacts[own]]] = ORIENT
+        self.limit[own[(period > 0) & (self.limit[own] == self.tolerance)]] = ARRIVED
         self._march_on(own[(period == 0) & ~lost])
 
     def _march_on(self, lanes: np.ndarray) -> None:
@@ -350,7 +348,9 @@ class LanePool:
         left = left[self.stage[left] == POLISH]
         over = self.wanted[left] >= self.period[left]
         self.wanted[left] = self.period[left]
-        self._march_on(left[over])
+        left, arrived = left[over], self.limit[left[over]] == ARRIVED
+        self.stage[left[arrived]] = MEASURE
+        self._march_on(left[~arrived])
 
     def _after(self, own: np.ndarray, periods: int) -> np.ndarray:
         """March lanes over so many drive periods; in units of energy."""
