@@ -29,7 +29,7 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from exact_propagation import Problem  # noqa: E402
-from tiers import marks_of  # noqa: E402
+from tiers import DEAREST, marks_of  # noqa: E402
 
 import vibrojax as vj  # noqa: E402
 from vibrojax._tools.compiled import make_room  # noqa: E402
@@ -44,9 +44,15 @@ def pytest_collection_modifyitems(items):
         for mark in marks_of(item.path.stem, item.name):
             if mark != "quick" or not item.get_closest_marker("slow"):
                 item.add_marker(mark)
-    # Quick ones first, so that a run fails early; then files of many tests, as few fill up gaps.
+    # Quick ones first, so that a run fails early; then what takes longest, then files of many
+    # tests, as few fill up gaps.
     many = Counter(item.path for item in items)
-    items.sort(key=lambda item: (item.get_closest_marker("quick") is None, -many[item.path]))
+
+    def place(item):
+        is_quick = item.get_closest_marker("quick") is not None
+        return not is_quick, item.path.stem not in DEAREST, -many[item.path]
+
+    items.sort(key=place)
 
 
 def pytest_unconfigure():

@@ -17,6 +17,12 @@ QUICK = {
 }
 """Files whose tests, but for the slow ones, are run all the time: some of almost every room."""
 
+DEAREST = (
+    *("test_measures", "test_map_responses", "test_walks", "test_isolas", "test_exact_contact"),
+    *("test_parameter_map", "test_identify", "test_branch_references"),
+)
+"""Files with more than a minute of slow tests: they begin first, so that none is left alone."""
+
 SLOW = {
     "test_continue_response": ("test_grazings_are_where_the_free_motion_fills_the_gap",),
     "test_energy_flow": ("test_shares_and_the_dataset", "test_the_picture"),
@@ -339,6 +345,7 @@ SLOW = {
 LONG = {
     "test_cli": ("test_as_a_process",),
     "test_gauge": (
+        "test_measures_have_forward_derivatives",
         "test_more_stretches_than_there_is_room_for_at_once",
         "test_a_march_with_measures_goes_the_same_way",
         "test_extremes_do_not_depend_on_how_finely_it_is_measured",

@@ -4,12 +4,12 @@ import re
 from pathlib import Path
 
 import pytest
-from tiers import LONG, QUICK, SLOW
+from tiers import DEAREST, LONG, QUICK, SLOW
 
 FILES = {path.stem: path for path in Path(__file__).parents[1].rglob("test_*.py")}
 
 
-@pytest.mark.parametrize("file", sorted({*QUICK, *SLOW, *LONG}))
+@pytest.mark.parametrize("file", sorted({*QUICK, *SLOW, *LONG, *DEAREST}))
 def test_every_test_that_is_named_is_there(file):
     text = FILES[file].read_text()
     for name in (*SLOW.get(file, ()), *LONG.get(file, ())):
