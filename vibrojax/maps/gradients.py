@@ -215,16 +215,15 @@ def _of_folds(rigs: Differentiated, lane: np.ndarray, folds: Folds, grid: Grid) 
     place, states = folds.bracket[:, 0].copy(), folds.states.copy()
     near = np.flatnonzero(np.diff(folds.bracket)[:, 0] != 0)
     if len(near):
-        unit = np.asarray(rigs.prepared.first_frequency)[lane[near]]
-        unit = unit if grid.axis == "frequency_ratio" else np.full_like(unit, 2 * np.pi)
-        given = lane[near], states[near], folds.bracket[near] * unit[:, None]
+        first = np.asarray(rigs.prepared.first_frequency)[lane[near]]
+        unit = first if grid.axis == "frequency_ratio" else 2 * np.pi
+        given = lane[near], states[near], (folds.bracket[near].T * unit).T
         fold, states[near] = folds_within(rigs.prepared.march, *given)
         place[near] = np.where(folds.period[near] == 1, fold / unit, np.nan)
     slopes = np.full((len(lane), len(rigs.names)), np.nan)
     known = np.flatnonzero(np.isfinite(place))
     if len(known):
-        own = lane[known], place[known], grid, states[known], folds.period[known]
-        at = _at_points(rigs, *own)
+        at = _at_points(rigs, lane[known], place[known], grid, states[known], folds.period[known])
         # Who was given up on the way has no matrix, which numpy would refuse for all.
         lost = ~np.isfinite(at.matrix).all(axis=(1, 2), keepdims=True)
         left, sizes, _ = np.linalg.svd(np.where(lost, np.eye(at.matrix.shape[1]), at.matrix))
