@@ -86,8 +86,9 @@ def to_orbit(
 
     def newton(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         search, rounds = carry
-        y, push = jax.linearize(image, search.state, w)
-        columns = jax.vmap(push)(every[:, :n], every[:, n])
+        along = lambda *way: jax.jvp(image, (search.state, w), way)  # noqa: E731
+        # The motion is the same for all ways.
+        y, columns = jax.vmap(along, out_axes=(None, 0))(every[:, :n], every[:, n])
         matrix, by_frequency = jnp.moveaxis(columns[:n], 0, 1), columns[n]
         step, slope = to_return(matrix, y - search.state, by_frequency)
         residual = size_of(y - search.state) / jnp.where(size > 0, size, 1.0)
