@@ -189,7 +189,7 @@ def _newton(rigs: _Rigs, search: _Search) -> tuple[_Search, Motion]:
     late_push = jnp.where(used, late_push, 0.0)
     ask, n = tries.condition, len(search.state)
     # The times follow from the state and the parameter: they are put into the condition.
-    row = ask.state + jnp.sum(ask.times[:, None] * now.delays, axis=0)
+    row = ask.state + jnp.einsum("kl,kil->il", ask.times, now.delays)
     row = row + ask.height * now.height_row
     last = ask.parameter + jnp.sum(ask.times * late_push, axis=0) + ask.height * height_push
     missing = ask.value - jnp.sum(ask.state * search.state, axis=0)
@@ -218,7 +218,7 @@ def _newton(rigs: _Rigs, search: _Search) -> tuple[_Search, Motion]:
 
     def parts(step: Array) -> tuple[Array, Array, Array]:
         state, parameter = step[:-1] * size, step[-1] * tries.scale
-        times = jnp.sum(now.delays * state, axis=1) + late_push * parameter
+        times = jnp.einsum("kil,il->kl", now.delays, state) + late_push * parameter
         return state, jnp.where(used, times, 0.0), parameter
 
     far = jnp.sqrt(jnp.sum(change**2, axis=0))
