@@ -16,7 +16,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 # Tests compile much and compute little: XLA takes a third of the time where it hardly optimises.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 12):  # an unknown flag ends the process
+if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11):  # an unknown flag ends the process
     flags = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
     os.environ.setdefault("XLA_FLAGS", flags)
 
@@ -25,6 +25,7 @@ from jaxtyping import install_import_hook  # noqa: E402
 # Before anything imports vibrojax, so that all of it is checked.
 _hook = install_import_hook("vibrojax", "checked_when_called.checked")
 
+import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
@@ -71,6 +72,13 @@ def _room_for_compiled_code():
 def _interrupts_are_heard():
     """A shell starts what runs in the background with interrupts switched off."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def on_a_cpu():
+    """For tests of how wide programs are, which on a GPU are wider."""
+    if jax.default_backend() != "cpu":
+        pytest.skip("programs are wider on a GPU")
 
 
 def make_rig(

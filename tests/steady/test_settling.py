@@ -336,6 +336,7 @@ def test_slow_motions_are_marched_for_longer():
     assert most_periods(time, 10 * one, 400).tolist() == [801, 1000, 10_000, 10_000]
 
 
+@pytest.mark.usefixtures("on_a_cpu")
 def test_loops_are_as_wide_as_the_cache_allows(monkeypatch):
     assert second_level_cache() >= 2**17
     wide = {}

@@ -46,6 +46,7 @@ def test_most_points_are_not_marched_to(both):
     assert marched.mean() < 0.35
 
 
+@pytest.mark.usefixtures("on_a_cpu")
 def test_a_call_solves_for_many_points_of_few_lanes(rig, both, monkeypatch):
     calls = []
 

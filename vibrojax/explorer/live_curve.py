@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.compiled import compiled
+from vibrojax._tools.eigenvalues import eigenvalues
 from vibrojax.branches.along import frequency_paths
 from vibrojax.branches.continuation import Ending
 from vibrojax.branches.over_range import scale_of, trace_over
@@ -130,9 +131,7 @@ def _glance(paths: FrequencyPath, depth, frequency, sensor: Sensor):
             matrix = kicked_monodromy(place, at, 1 / per_second)
         else:
             matrix = _contact_monodromy(path, place, depth, at.force)
-        sound = jnp.all(jnp.isfinite(matrix))
-        multipliers = jnp.linalg.eigvals(jnp.where(sound, matrix, 0.0))
-        return shown, force, jnp.where(sound, jnp.max(jnp.abs(multipliers)), jnp.nan)
+        return shown, force, jnp.max(jnp.abs(eigenvalues(matrix)))
 
     return jax.vmap(one)(depth, frequency)
 

@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import concrete
+from vibrojax._tools.eigenvalues import eigenvalues
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive, NoDrive
 from vibrojax.model.equations import LinearEquations
@@ -261,7 +262,7 @@ def _balance(matrix: Float[Array, "n n"]) -> Float[Array, " n"]:
 
 def _natural(flow: Float[Array, "n n"]) -> Float[Array, ""]:
     """Size of the lowest eigenvalue that turns, rad/s; of the lowest of all where none does."""
-    values = jnp.linalg.eigvals(flow)
+    values = eigenvalues(flow)
     size = jnp.abs(values)
     turns = jnp.abs(values.imag) > SAME * size
     lowest = jnp.min(jnp.where(turns, size, jnp.inf))

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.compiled import compiled
+from vibrojax._tools.eigenvalues import eigenvalues
 from vibrojax.model.first_order import first_order
 from vibrojax.steady.batches import in_batches
 from vibrojax.steady.condensed import (
@@ -90,9 +91,7 @@ def read_balanced(place: Place, depth: Spectra, period: int) -> BalancedMotion:
         contact_fraction=jnp.mean(jnp.any(touching, axis=0)),
         contacts=jnp.sum(entered) + zero,
         initial_state=state_of(equations, drive, w, at.force, zero, samples=samples, period=period),
-        multipliers=jnp.linalg.eigvals(
-            jax.lax.stop_gradient(kicked_monodromy(place, at, 1 / per_second))
-        ),
+        multipliers=eigenvalues(jax.lax.stop_gradient(kicked_monodromy(place, at, 1 / per_second))),
         residual=jnp.sqrt(jnp.sum(jnp.abs(at.residual) ** 2)) / size,
     )
 

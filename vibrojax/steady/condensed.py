@@ -18,13 +18,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from vibrojax._tools.eigenvalues import eigen
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.first_order import first_order, without_memory
 from vibrojax.model.laws import can_pull, linear_coefficients
 from vibrojax.model.stops import Stop
 from vibrojax.steady.methods import check_balance
-from vibrojax.stepping.contact_phases import eigen
 
 Scalar = Float[Array, ""]
 Spectra = Complex[Array, "stops harmonics"]

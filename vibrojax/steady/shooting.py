@@ -10,6 +10,7 @@ import optimistix
 from jaxtyping import Array, Float
 
 from vibrojax._tools.compiled import compiled
+from vibrojax._tools.eigenvalues import eigenvalues
 from vibrojax.model.drives import AbstractDrive, Harmonic
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.stop_forces import touching_stops
@@ -122,7 +123,7 @@ def _shoot(numbers, is_ratio, period, state, method, stepper):
         place = place_of(*numbers)
         residual = jnp.max(jnp.abs(returned(jax.lax.stop_gradient(x), held)))
         reading = _read(place, states, method.steps_per_period, period)
-        multipliers = jnp.linalg.eigvals(jax.lax.stop_gradient(matrix) + jnp.eye(extent))
+        multipliers = eigenvalues(jax.lax.stop_gradient(matrix) + jnp.eye(extent))
         strobes = jax.lax.stop_gradient(states[: -1 : method.steps_per_period])
         residual = jax.lax.stop_gradient(residual)
         return reading, multipliers.real, multipliers.imag, residual, strobes

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
+from vibrojax._tools.eigenvalues import eigenvalues
 from vibrojax._tools.trigonometry import cosine_and_sine, sine
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import AbstractEquations, LinearEquations
@@ -276,7 +277,7 @@ def multipliers(tables: Tables, contact_fraction: Scalar) -> Complex[Array, " st
         moved = jnp.eye(2 * n) + growth(phases, phase, duration)
         matrix = phases.to_state[phase] @ moved @ phases.from_state[phase] @ matrix
     matrix = phases.weight[:, None] * matrix / phases.weight
-    return jnp.linalg.eigvals(jnp.where(jnp.isfinite(matrix), matrix, 0.0))
+    return eigenvalues(matrix)
 
 
 def laid_out(tables: Tables, found: SingleContact) -> tuple[Tables, Events, PiecewiseMotion]:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from vibrojax._tools.checks import concrete
 from vibrojax._tools.compiled import compiled
+from vibrojax._tools.eigenvalues import eigen
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.first_order import first_order
 from vibrojax.model.laws import can_pull, is_linear
@@ -26,28 +27,6 @@ would have one eigenvector. It bends a flight of ten units of time by 1e-6 of it
 are marched without (`input_phases`), and only read between samples by these phases."""
 MAX_STOPS = 4
 """More stops than this make too many phases (2 to their number) to tabulate."""
-
-
-@jax.custom_jvp
-def eigen(matrix: Float[Array, "n n"]) -> tuple[Complex[Array, " n"], Complex[Array, "n n"]]:
-    """Eigenvalues and right eigenvectors; pairs with positive imaginary part first, then reals."""
-    values, vectors = jnp.linalg.eig(matrix)
-    group = jnp.where(values.imag > 0, 0, jnp.where(values.imag == 0, 1, 2))
-    order = jnp.lexsort((values.imag, group))
-    return values[order], vectors[:, order]
-
-
-@eigen.defjvp
-def _eigen_jvp(primals, tangents):
-    # JAX has no derivative of non-symmetric eigenvectors. Their length is free, so its change is
-    # left out; distinct eigenvalues are assumed, as everywhere in modal analysis.
-    (matrix,), (change,) = primals, tangents
-    values, vectors = eigen(matrix)
-    rotated = jnp.linalg.solve(vectors, change.astype(vectors.dtype) @ vectors)
-    gaps = values[None, :] - values[:, None]
-    same = gaps == 0
-    mixing = jnp.where(same, 0.0, rotated / jnp.where(same, 1.0, gaps))
-    return (values, vectors), (jnp.diagonal(rotated), vectors @ mixing)
 
 
 class ContactPhases(eqx.Module):
