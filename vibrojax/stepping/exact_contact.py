@@ -11,6 +11,7 @@ Every array has the lanes as trailing axes, for speed only (XLA then vectorises 
 no such axes it is the code of one lane.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -133,6 +134,7 @@ def step_from(
     return _step_lanes(*numbers, max_attempts=max_attempts)
 
 
+@partial(jax.jit, static_argnames=("max_attempts", "lanes"))  # diffrax traces a step three times
 def _step_lanes(
     phases: ContactPhases,
     drive: AbstractDrive,
