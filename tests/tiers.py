@@ -146,7 +146,7 @@ SLOW = {
         "test_any_implicit_solver_runs",
         "test_spectrum_reads_the_amplitude_of_a_sine",
         "test_rates_and_accelerations_are_derivatives",
-        "test_new_numbers_do_not_recompile",
+        "test_new_numbers_and_like_lengths_do_not_recompile",
         "test_release_starts_from_the_static_shape_and_decays",
         "test_history_matches_exact_propagation[None-reverse-1e-09]",
         "test_history_matches_exact_propagation[solver2-reverse-0.0001]",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.history.simulate import solve
 
 PERIODS = 6
 
@@ -213,19 +214,27 @@ def test_gradient_of_splitting_matches_finite_differences():
     np.testing.assert_allclose(gradient, expected, rtol=1e-4)
 
 
-def test_new_numbers_do_not_recompile():
-    def run(gap):
+def test_new_numbers_and_like_lengths_do_not_recompile():
+    def run(gap, periods=1.0):
         return vj.simulate(
-            vj.default_rig(gap=gap), frequency_ratio=1.1, periods=1, samples_per_period=16
+            vj.default_rig(gap=gap), frequency_ratio=1.1, periods=periods, samples_per_period=24
         )
 
-    run(0.4e-3)
+    longest = run(0.4e-3, 27 / 24)
     compiled = []
     jax.monitoring.register_event_duration_secs_listener(
         lambda event, *_, **__: compiled.append(event) if "backend_compile" in event else None
     )
-    run(0.3e-3)
+    run(0.3e-3, 27 / 24)
     assert not compiled
+    programs = len(solve.programs)
+    # The samples that both have are the same; where a history ends nothing is added.
+    shorter = run(0.4e-3)
+    assert len(solve.programs) == programs
+    assert [len(h.time) for h in (shorter, longest)] == [25, 28]
+    np.testing.assert_allclose(
+        shorter.displacement(), longest.displacement()[:25], rtol=1e-9, atol=1e-15
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, overload
 
 import diffrax
@@ -42,6 +43,12 @@ from vibrojax.stepping.choice import choose_stepper, prepare_motion
 from vibrojax.stepping.signal_grid import SignalGrid, march_on_grid
 from vibrojax.stepping.stepper import AbstractStepper, ExactContact
 
+MOST_STEPS = 1_000_000
+"""Steps of a solver that chooses them, unless `max_steps` says otherwise."""
+MANY = 2**16
+"""Samples beyond which room for more is a quarter of this."""
+SAMPLED = ("time", "coordinates", "rates", "accelerations", "contact_force", "memory")
+"""What a history has for every sample."""
 ATTEMPTS = 256
 """Most rounds per step that reverse mode keeps; those not made cost nothing."""
 One = float | int | Array | np.number[Any] | None
@@ -194,7 +201,7 @@ def simulate(
         return _task(one, drive, release, start, grid, stepping)
 
     if not (axes or zipped or any(isinstance(n, Zipped) or is_list(n) for n in numbers.values())):
-        return solve(task(_made(system, numbers), numbered, gradient))
+        return _solved(solve, task(_made(system, numbers), numbered, gradient))
     check_not_traced("simulate over lists", "system", system)
     lanes = lanes_of(system, numbers, zipped)
     tasks = [
@@ -206,7 +213,7 @@ def simulate(
         for k in range(math.prod(lanes.shape))
         for row in itertools.product(*axes.values())
     ]
-    return Histories(lanes.axes | axes, _solve_all(_stacked(tasks)))
+    return Histories(lanes.axes | axes, _solved(_solve_all, _stacked(tasks)))
 
 
 def _starts(one: Any, several: Any, release: Any, numbers: dict[str, Any]) -> list[Any]:
@@ -248,9 +255,9 @@ class Task(NamedTuple):
     adjoint: diffrax.AbstractAdjoint
     times: Float[Array, " samples"]
     state: Float[Array, " states"]
-    parts: int | None
-    """Equal steps in a sample interval; None where the controller chooses."""
-    max_steps: int | None
+    step: Float[Array, ""] | None
+    """Length of all steps, s; None where the controller chooses."""
+    max_steps: int
     signal: SignalGrid | None
     """Knots of an exact march under a signal; None: diffrax steps."""
     reverse: bool
@@ -270,15 +277,18 @@ def _task(system, drive, release, start, grid, stepping) -> Task:
     stepper, controller, tolerance, gradient, max_steps = stepping
     if stepper is None or isinstance(stepper, AbstractStepper):
         stepper = choose_stepper(system, stepper, tolerance, None)
-    parts, signal = None, None
+    step, most, signal = None, MOST_STEPS, None
     if isinstance(stepper, ExactContact) and sampled.signal is not None:
         signal = sampled.signal
     elif isinstance(stepper, AbstractStepper):
         if isinstance(stepper, ExactContact):
             most = (stepper.max_attempts or ATTEMPTS) if gradient == "reverse" else None
             stepper = ExactContact(stepper.tolerance, stepper.steps_per_period, most)
-        parts = math.ceil(stepper.steps(run) / sampled.per_period)
-        parts, controller = parts_under_signal(run, sampled, parts), diffrax.ConstantStepSize()
+        parts, count = math.ceil(stepper.steps(run) / sampled.per_period), len(sampled.times)
+        parts = parts_under_signal(run, sampled, parts)
+        step = (sampled.times[-1] - sampled.times[0]) / ((count - 1) * parts)
+        most = _roomy(count) * _roomy(parts) + 16
+        controller = diffrax.ConstantStepSize()
     elif controller is None:
         drive = run.strength / run.clock**2  # quasi-static
         unit = jnp.max(jnp.abs(run.equations.input(jnp.zeros(run.equations.size))))
@@ -295,8 +305,8 @@ def _task(system, drive, release, start, grid, stepping) -> Task:
         adjoint,
         sampled.times,
         state,
-        parts,
-        max_steps,
+        step,
+        max_steps or most,
         signal,
         reverse,
     )
@@ -317,6 +327,23 @@ def _initial_state(system, run, initial_state, release):
     return as_state("initial_state", initial_state, run.equations)
 
 
+def _roomy(count: int) -> int:
+    """Return the next count for which there is a program: to begin with, powers of two."""
+    power = 2 ** math.ceil(math.log2(count))
+    return power if power <= MANY else math.ceil(count / (MANY / 4)) * MANY // 4
+
+
+def _solved(solve: Callable[[Task], History], task: Task) -> History:
+    """Solve a task by the program for histories of about its length."""
+    if task.signal is not None:
+        return solve(task)
+    *lanes, count = task.times.shape
+    room = [(0, 0)] * len(lanes) + [(0, _roomy(count) - count)]
+    history = solve(task._replace(times=jnp.pad(task.times, room, mode="edge")))
+    own = (slice(None),) * len(lanes) + (slice(count),)
+    return replace(history, **{name: getattr(history, name)[own] for name in SAMPLED})
+
+
 @compiled
 def solve(task: Task) -> History:
     """Integrate one lane."""
@@ -324,22 +351,18 @@ def solve(task: Task) -> History:
         states = march_on_grid(task.run, task.signal, task.state, reverse=task.reverse)
         ended = diffrax.RESULTS.successful
         return history_of(task.system, task.run, task.times, states, ended)
-    step, limit = None, 1_000_000
-    if task.parts is not None:
-        steps = (len(task.times) - 1) * task.parts
-        step, limit = (task.times[-1] - task.times[0]) / steps, steps + 16
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(task.run.vector_field),
         task.stepper,
         t0=task.times[0],
         t1=task.times[-1],
-        dt0=step,
+        dt0=task.step,
         y0=task.state,
         args=task.run,
         saveat=diffrax.SaveAt(ts=task.times),
         stepsize_controller=task.controller,
         adjoint=task.adjoint,
-        max_steps=task.max_steps or limit,
+        max_steps=task.max_steps,
         throw=False,
     )
     states = jnp.asarray(solution.ys)
@@ -352,16 +375,15 @@ def _solve_all(tasks: Task) -> History:
 
 
 def _stacked(tasks: list[Task]) -> Task:
-    """Stack what the lanes have of their own; all take the steps of the one that needs most."""
+    """Stack what the lanes have of their own."""
     lengths = sorted({len(task.times) for task in tasks})
     if len(lengths) > 1:
         raise ValueError(
             f"The histories would have {lengths[0]} to {lengths[-1]} samples. Give samples, or "
             "periods with samples_per_period, so that all have as many."
         )
-    parts = [task.parts for task in tasks]
-    most = None if parts[0] is None else max(part or 1 for part in parts)
-    tasks = [task._replace(parts=most) for task in tasks]
+    most = max(task.max_steps for task in tasks)
+    tasks = [task._replace(max_steps=most) for task in tasks]
     return jax.tree.map(
         lambda *leaves: jnp.stack(leaves) if eqx.is_array(leaves[0]) else leaves[0], *tasks
     )
