@@ -52,6 +52,7 @@ SLOW = {
         "test_histories_go_on_from_where_another_ended",
     ),
     "test_exact_contact": (
+        "test_march_agrees_with_event_driven_propagation[default]",
         "test_overdamped_stops_that_cannot_pull_cost_by_their_contacts",
         "test_a_lane_that_blows_up_leaves_its_neighbours_alone",
         "test_period_of_an_undamped_mass",
@@ -65,6 +66,8 @@ SLOW = {
         "test_march_agrees_with_event_driven_propagation[no tension, overdamped]",
     ),
     "test_map_interrupted": (
+        "test_a_map_in_memory_keeps_what_did_not_fail",
+        "test_a_chunk_that_fails_once_is_no_failure",
         "test_death_before_any_change_of_the_files_is_mended_by_the_same_call",
         "test_a_full_disk_is_said_and_no_harm_wherever_it_happens",
         "test_a_chunk_that_fails_twice_is_flagged_and_computed_by_the_next_call",
@@ -115,6 +118,9 @@ SLOW = {
         "test_initial_states_and_a_chirp",
     ),
     "test_identify": (
+        "test_a_trial_that_is_near_follows_no_curve",
+        "test_residuals_are_distances_over_the_deviation",
+        "test_a_report_and_a_dataset",
         "test_a_curve_without_contact_is_refused",
         "test_repetitions_side_by_side_are_what_they_are_alone",
         "test_recovers_the_stiffness_and_bounds_the_damping",
@@ -230,6 +236,8 @@ SLOW = {
         )
     ),
     "test_walks": (
+        "test_touches_that_cannot_be_passed_are_leapt_over",
+        "test_a_touch_just_before_the_end_of_the_range",
         "test_a_motion_that_touches_from_the_start",
         "test_a_force_that_jumps_makes_a_corner",
         "test_a_walk_does_not_turn_round_at_a_touch",
@@ -595,6 +603,7 @@ LONG = {
         "test_every_lane_is_what_a_single_call_gives",
     ),
     "test_frequency_sweep": (
+        "test_every_reference_sweep[P_MR1_mu0-1e-06]",
         "test_small_jumps_are_seen_too[0.01]",
         "test_no_stop",
         "test_point_force",
@@ -621,6 +630,7 @@ LONG = {
         "test_where_no_motion_is_found_at_the_low_end_a_branch_begins_elsewhere[high end-numbers0]",
     ),
     "test_branch_references": (
+        "test_leading_multipliers[P_MR1_mu0]",
         "test_folds_are_the_refined_jumps[C_MR0.5_mu0.5_gap0.8]",
         "test_folds_are_the_refined_jumps[C_MR0.5_mu0.5_s1_0.75]",
         "test_settled_sweeps_have_what_follows_too",

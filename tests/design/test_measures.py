@@ -7,6 +7,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.design.measures import NoSuchPlace
+from vibrojax.design.pieces import pieces_of
 
 RANGE = vj.Range(0.9, 1.35)
 pytestmark = pytest.mark.slow
@@ -86,6 +87,19 @@ def test_measures_are_those_of_the_sweep(response, sweep):
     above = np.mean(upper.values >= 12.0) * 0.45
     assert response.bandwidth(12.0) == pytest.approx(above, abs=6e-3)
     assert response.resonance_shift() == pytest.approx(response.peak_frequency() - 1.0)
+
+
+def test_a_stable_part_between_a_fold_and_a_touch_counts():
+    """With one mode they are so close that no point of the branch lies between them."""
+    make = lambda gap: vj.default_rig(gap=gap, num_modes=1)  # noqa: E731
+    found = vj.design.respond(make, gap=GAP, frequency_ratio=vj.Range(0.9, 1.6))
+    low, high = sorted(found.branch.folds)
+    assert [touch - low for touch in found.branch.grazings if touch > low] == [
+        pytest.approx(6.6e-5, rel=1e-2)
+    ]
+    upper, lower = pieces_of(found.known)
+    assert upper.high == pytest.approx(high, rel=1e-12)
+    assert lower.low == pytest.approx(low, rel=1e-12)
 
 
 def test_impulse_is_what_the_history_says(response):

@@ -256,7 +256,11 @@ def _way(known: KnownBranch, k: int, motion: OnCurve) -> float:
 
 
 def _is_stable(known: KnownBranch, a: Knot, b: Knot) -> bool:
-    """Whether the motions between two knots are stable, by their points of known stability."""
+    """Whether the motions between two knots are stable.
+
+    By their points of known stability; without one, between a fold and a touch, by the motion
+    half way.
+    """
     points, stable = known.walk.points, known.branch.stable
     touch = known.walk.touch_in(a.cell)
     stabilities = []
@@ -264,7 +268,11 @@ def _is_stable(known: KnownBranch, a: Knot, b: Knot) -> bool:
         # At a touch itself multipliers are those of the side without the contact.
         if knot.motion is points[own] and not (touch is not None and own == touch.at):
             stabilities.append(bool(stable[own]))
-    return bool(stabilities) and all(stabilities)
+    if stabilities:
+        return all(stabilities)
+    between = Between(known, a, b)
+    (motion,) = known.run([between.stretch.at(float(np.mean(between.places)))])
+    return motion is not None and bool(motion.moduli[0] < 1.0)
 
 
 def pieces_of(known: KnownBranch, *, stable: bool = True) -> list[Piece]:

@@ -1,7 +1,6 @@
 """The response of one rig over a range of the drive frequency, and what can be asked of it."""
 
 from collections.abc import Callable, Mapping
-from functools import cached_property
 from typing import Any
 
 import jax
@@ -79,6 +78,7 @@ class Response:
         self._moved = np.zeros(len(numbers)) if moved is None else moved
         self._plain = moved is None
         self._done: dict[Any, Dual] = {}
+        self._pieces: dict[bool, list[Piece]] = {}
 
     def ask_of(self, ask: Ask) -> None:
         """Let `ask` compute what is asked from now on, together with what others ask for."""
@@ -87,8 +87,7 @@ class Response:
     def _with(self, moved: Any) -> "Response":
         """The same response, its numbers moved by what JAX is tracing."""
         other = Response(self.branch, self.known, self._values, self._natural, moved)
-        other._done = self._done
-        other.__dict__["_stable"] = self._stable
+        other._done, other._pieces = self._done, self._pieces
         return other
 
     @validated
@@ -311,13 +310,19 @@ class Response:
 
     # ------------------------------------------------------------------------------------ inside
 
-    @cached_property
+    @property
     def _stable(self) -> list[Piece]:
-        return pieces_of(self.known)
+        return self._parts(stable=True)
 
-    @cached_property
+    @property
     def _every(self) -> list[Piece]:
-        return pieces_of(self.known, stable=False)
+        return self._parts(stable=False)
+
+    def _parts(self, *, stable: bool) -> list[Piece]:
+        # No cached_property: before Python 3.12 it holds a lock, while others are asked.
+        if stable not in self._pieces:
+            self._pieces[stable] = pieces_of(self.known, stable=stable)
+        return self._pieces[stable]
 
     def _variable(self, name: str) -> Variable:
         return variable_of(name, self.branch.ratio_units)
