@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple, overload
 
 import diffrax
@@ -46,7 +45,7 @@ from vibrojax.stepping.stepper import AbstractStepper, ExactContact
 MOST_STEPS = 1_000_000
 """Steps of a solver that chooses them, unless `max_steps` says otherwise."""
 MANY = 2**16
-"""Samples beyond which room for more is a quarter of this."""
+"""Samples from which on there is a program for every quarter of this."""
 SAMPLED = ("time", "coordinates", "rates", "accelerations", "contact_force", "memory")
 """What a history has for every sample."""
 ATTEMPTS = 256
@@ -282,8 +281,8 @@ def _task(system, drive, release, start, grid, stepping) -> Task:
         signal = sampled.signal
     elif isinstance(stepper, AbstractStepper):
         if isinstance(stepper, ExactContact):
-            most = (stepper.max_attempts or ATTEMPTS) if gradient == "reverse" else None
-            stepper = ExactContact(stepper.tolerance, stepper.steps_per_period, most)
+            attempts = (stepper.max_attempts or ATTEMPTS) if gradient == "reverse" else None
+            stepper = ExactContact(stepper.tolerance, stepper.steps_per_period, attempts)
         parts, count = math.ceil(stepper.steps(run) / sampled.per_period), len(sampled.times)
         parts = parts_under_signal(run, sampled, parts)
         step = (sampled.times[-1] - sampled.times[0]) / ((count - 1) * parts)
@@ -341,7 +340,11 @@ def _solved(solve: Callable[[Task], History], task: Task) -> History:
     room = [(0, 0)] * len(lanes) + [(0, _roomy(count) - count)]
     history = solve(task._replace(times=jnp.pad(task.times, room, mode="edge")))
     own = (slice(None),) * len(lanes) + (slice(count),)
-    return replace(history, **{name: getattr(history, name)[own] for name in SAMPLED})
+
+    def sampled(history: History) -> list[Any]:
+        return [getattr(history, name) for name in SAMPLED]
+
+    return eqx.tree_at(sampled, history, [a[own] for a in sampled(history)])
 
 
 @compiled
