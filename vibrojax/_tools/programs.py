@@ -142,3 +142,9 @@ def tracing() -> Iterator[None]:
             gc.enable()
         if lines:
             jax.config.update(LINES, lines)
+
+
+def rounded_up(count: int, digits: int) -> int:
+    """Return the next number with so many leading binary digits: few counts mean few programs."""
+    grain = 2 ** max(int(count).bit_length() - digits, 0)
+    return -(-count // grain) * grain

@@ -22,6 +22,7 @@ from vibrojax._tools.checks import (
 )
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.kinds import is_list
+from vibrojax._tools.programs import rounded_up
 from vibrojax._tools.signatures import check_not_traced, check_one_lane, validated
 from vibrojax.ensemble.arguments import Zipped, arguments_of
 from vibrojax.ensemble.lanes import check_no_numbers, lanes_of
@@ -45,7 +46,7 @@ from vibrojax.stepping.stepper import AbstractStepper, ExactContact
 MOST_STEPS = 1_000_000
 """Steps of a solver that chooses them, unless `max_steps` says otherwise."""
 MANY = 2**16
-"""Samples from which on there is a program for every quarter of this."""
+"""Samples above which there are four programs from one power of two to the next; else one."""
 SAMPLED = ("time", "coordinates", "rates", "accelerations", "contact_force", "memory")
 """What a history has for every sample."""
 ATTEMPTS = 256
@@ -327,18 +328,17 @@ def _initial_state(system, run, initial_state, release):
 
 
 def _roomy(count: int) -> int:
-    """Return the next count for which there is a program: to begin with, powers of two."""
-    power = 2 ** math.ceil(math.log2(count))
-    return power if power <= MANY else math.ceil(count / (MANY / 4)) * MANY // 4
+    """Return the next count for which there is a program."""
+    return rounded_up(count, 1 if count <= MANY else 3)
 
 
-def _solved(solve: Callable[[Task], History], task: Task) -> History:
+def _solved(program: Callable[[Task], History], task: Task) -> History:
     """Solve a task by the program for histories of about its length."""
     if task.signal is not None:
-        return solve(task)
+        return program(task)
     *lanes, count = task.times.shape
     room = [(0, 0)] * len(lanes) + [(0, _roomy(count) - count)]
-    history = solve(task._replace(times=jnp.pad(task.times, room, mode="edge")))
+    history = program(task._replace(times=jnp.pad(task.times, room, mode="edge")))
     own = (slice(None),) * len(lanes) + (slice(count),)
 
     def sampled(history: History) -> list[Any]:

@@ -6,8 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from vibrojax._tools.programs import rounded_up
 from vibrojax.identification.history_motions import Seen
 from vibrojax.measured.history import MeasuredHistory, Observations
+
+DIGITS = 4
+"""Counts are rounded up to so many binary digits, by an eighth at most."""
 
 
 class Data(NamedTuple):
@@ -57,7 +61,7 @@ def data_of(
     repetitions: Sequence[MeasuredHistory], found: Sequence[Observations], delayed: bool
 ) -> Data:
     """Put together what is compared; filled up to round numbers, so that few are compiled."""
-    count = _rounded(len(found[0].value))
+    count = rounded_up(len(found[0].value), DIGITS)
     lanes = []
     for history, one in zip(repetitions, found, strict=True):
         deviations = history.noise().deviation
@@ -70,7 +74,7 @@ def data_of(
             time, owner = history.time[at], np.zeros(len(at), int)
         lanes.append((time, owner, one.channel, sample, one.value, deviation))
     # Repetitions may have their blanks at other places.
-    times = _rounded(max(len(lane[0]) for lane in lanes))
+    times = rounded_up(max(len(lane[0]) for lane in lanes), DIGITS)
 
     def filled(part: int, size: int) -> np.ndarray:
         own = [lane[part] for lane in lanes]
@@ -80,12 +84,6 @@ def data_of(
     deviation = filled(5, count)
     deviation[:, len(found[0].value) :] = np.inf
     return Data(seen, filled(4, count), deviation)
-
-
-def _rounded(count: int) -> int:
-    """Return a number at least as large, by an eighth at most, of which there are few."""
-    grain = 2 ** max(int(count).bit_length() - 4, 0)
-    return -(-count // grain) * grain
 
 
 def records_of(
