@@ -128,7 +128,6 @@ SLOW = {
     "test_splitting": (
         "test_force_gradient_beats_the_plain_kick",
         "test_sweep_with_a_rounded_stop_agrees_with_exact_contact",
-        "test_linear_response_is_exact_at_any_step",
     ),
     "test_basins": (
         "test_a_barrier_that_is_not_crossed",
@@ -552,6 +551,7 @@ LONG = {
     "test_settling": (
         "test_gradients_of_the_steady_state",
         "test_steady_states_are_those_of_a_long_march",
+        "test_other_attractor_beside_the_listed_one",
         "test_found_orbits_close_on_themselves",
         "test_cost_is_counted",
         "test_response_curve_of_a_system_of_ones_own",
@@ -664,6 +664,7 @@ LONG = {
     ),
     "test_map_responses": (
         "test_a_measure_that_jax_cannot_trace_is_said",
+        "test_derivatives_of_jumps_are_those_of_their_folds[march]",
         "test_no_derivative_where_there_is_no_steady_state",
     ),
     "test_map_damage": (
@@ -729,6 +730,7 @@ LONG = {
         "test_two_stops_at_once_and_lanes_like_a_loop",
         "test_force_gradient_beats_the_plain_kick",
         "test_sweep_with_a_rounded_stop_agrees_with_exact_contact",
+        "test_linear_response_is_exact_at_any_step",
     ),
     "test_jumps_at_folds": ("test_lanes_do_not_depend_on_their_neighbours",),
     "test_cli_fit": ("test_as_a_process",),

@@ -1,4 +1,4 @@
-"""Measures of branches and their derivatives, on the default rig with two modes."""
+"""Measures of branches and their derivatives, on the default rig with one mode."""
 
 import design_slopes
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import vibrojax as vj
 from vibrojax.design.measures import NoSuchPlace
 from vibrojax.design.pieces import pieces_of
 
-RANGE = vj.Range(0.9, 1.35)
+RANGE = vj.Range(0.9, 1.6)
 pytestmark = pytest.mark.slow
 
 
@@ -17,7 +17,7 @@ GAP, STEPS = 4e-4, (4e-8, 2e-8)
 
 
 def rig(gap=GAP, stiffness=5500.0):
-    return vj.default_rig(gap=gap, stiffness=stiffness, num_modes=2)
+    return vj.default_rig(gap=gap, stiffness=stiffness, num_modes=1)
 
 
 def respond(gap=GAP, stiffness=5500.0):
@@ -32,7 +32,7 @@ def response():
 
 @pytest.fixture(scope="module")
 def sweep():
-    frequencies = np.linspace(0.9, 1.35, 181)
+    frequencies = np.linspace(0.9, 1.6, 281)
     return vj.frequency_sweep(rig(), frequency_ratio=frequencies, progress=False)
 
 
@@ -83,8 +83,8 @@ def test_measures_are_those_of_the_sweep(response, sweep):
     assert response.hysteresis_width() == pytest.approx(width, rel=1e-9)
     x = data.frequency_ratio.values
     assert response.area() == pytest.approx(np.trapezoid(upper, x), rel=1e-2)
-    assert response.mean() == pytest.approx(response.area() / 0.45)
-    above = np.mean(upper.values >= 12.0) * 0.45
+    assert response.mean() == pytest.approx(response.area() / 0.7)
+    above = np.mean(upper.values >= 12.0) * 0.7
     assert response.bandwidth(12.0) == pytest.approx(above, abs=6e-3)
     assert response.resonance_shift() == pytest.approx(response.peak_frequency() - 1.0)
 
@@ -164,15 +164,15 @@ def test_a_design_by_gradient():
         rig,
         lambda r: r.peak("contact_force"),
         variables={"gap": (3e-4, 6e-4)},
-        constraints=[vj.design.Constraint(lambda r: r.peak(), most=36.0, name="amplitude")],
+        constraints=[vj.design.Constraint(lambda r: r.peak(), most=42.0, name="amplitude")],
         frequency_ratio=RANGE,
         settings=vj.design.OptimiseSettings(starts=1, screened=4),
         stiffness=5500.0,
     )
     assert best.status in ("converged", "kink")
-    assert best.constraints["amplitude"] <= 36.0 + 1e-4
+    assert best.constraints["amplitude"] <= 42.0 + 1e-4
     history = best.history
-    allowed = history.value[history.constraints[:, 0] <= 36]
+    allowed = history.value[history.constraints[:, 0] <= 42]
     assert best.value <= allowed.min() + 1e-9
 
 

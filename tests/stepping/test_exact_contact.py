@@ -10,8 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import vibrojax as vj
+from vibrojax.model.systems import equations_of
 from vibrojax.stepping import elementary, exact_contact, outlook
-from vibrojax.stepping.contact_phases import contact_phases
+from vibrojax.stepping.contact_phases import phases_of
 from vibrojax.stepping.forcing import forcing, longest_step
 from vibrojax.stepping.gauge import Ruler
 
@@ -50,8 +51,12 @@ def run_free(phases, state, angular_frequency, periods, amplitude=0.0):
 
 
 @eqx.filter_jit
-def prepare(rig, tolerance=1e-9):
-    return vj.ExactContact(tolerance).prepare(rig.equations(), rig.drive)
+def prepared(equations, drive, tolerance, steps):
+    return vj.ExactContact(tolerance, steps).prepare(equations, drive)
+
+
+def prepare(rig, tolerance=1e-9, steps=None):
+    return prepared(equations_of(rig), rig.drive, tolerance, steps)
 
 
 def arrays(rig):
@@ -113,9 +118,9 @@ def test_what_a_gpu_runs_is_the_same_march(rig, monkeypatch, tension):
     ],
 )
 def test_very_stiff_stop(rig, problem, steps):
-    one = rig(stiffness=2e5, damping=1.0)
+    one = arrays(rig(stiffness=2e5, damping=1.0))
     equations, oracle = one.equations(), problem(one)
-    march = vj.ExactContact(1e-9, steps).prepare(equations, one.drive)
+    march = prepare(one, steps=steps)
     w = RATIOS[1:5] * equations.angular_frequency[0]
     found, _, _ = run(march, rest(march, w), w, 4)
     size = weight(equations)
@@ -148,7 +153,7 @@ def test_mirrored_rig_moves_mirrored(rig):
     start = 1e-4 * jnp.asarray(np.random.default_rng(1).normal(size=(4, len(w))))
     ends = {}
     for side in (1, -1):
-        phases = contact_phases(arrays(rig(side=side, num_modes=2)).equations())
+        phases = phases_of(arrays(rig(side=side, num_modes=2)).equations())
         ends[side] = run_free(phases, side * start, w, 5 * jnp.ones(6, int), side * 4.0)
     np.testing.assert_array_equal(ends[-1][0], -ends[1][0])
     above, below = ends[1][2], ends[-1][2]
@@ -170,7 +175,7 @@ def test_elastic_stop_keeps_the_energy(rig, gap):
     one = rig(damping_ratio=0.0, damping=0.0, gap=gap)
     equations = one.equations()
     start = jnp.concatenate([one.static_shape(-8e-3), jnp.zeros(5)])
-    end, _, measures = run_free(contact_phases(equations), start, 57.0, 120)
+    end, _, measures = run_free(phases_of(equations), start, 57.0, 120)
     assert measures.contacts >= 100
     assert energy(equations, end) == pytest.approx(energy(equations, start), rel=1e-6)
 
@@ -182,7 +187,7 @@ def test_period_of_an_undamped_mass(oscillator):
     period = 2 * (math.pi - math.acos(1 / wide)) + 2 / math.sqrt(1 + k) * turned
     assert period == pytest.approx(5.0060650, abs=1e-7)
     start = jnp.array([-wide, 0.0])
-    end, _, measures = run_free(contact_phases(equations), start, 2 * math.pi / period, 10)
+    end, _, measures = run_free(phases_of(equations), start, 2 * math.pi / period, 10)
     np.testing.assert_allclose(end, start, atol=1e-8)
     assert measures.contacts == 10
     assert measures.lowest == pytest.approx(-wide, rel=1e-8)
@@ -205,9 +210,7 @@ def test_restitution_of_a_kelvin_voigt_stop(oscillator, tension, z):
         restitution = math.exp(-z / root * (math.pi - turned))
     if z == 0.2:
         assert restitution == pytest.approx(0.526621 if tension else 0.571740, abs=1e-6)
-    end, _, measures = run_free(
-        contact_phases(equations), jnp.array([0.0, 1.0]), 2 * math.pi / 8, 1
-    )
+    end, _, measures = run_free(phases_of(equations), jnp.array([0.0, 1.0]), 2 * math.pi / 8, 1)
     assert end[1] == pytest.approx(-restitution, rel=1e-6)
     assert measures.contacts == 1
     assert end[0] < 1.0
@@ -215,7 +218,7 @@ def test_restitution_of_a_kelvin_voigt_stop(oscillator, tension, z):
 
 def test_overdamped_single_mass(oscillator):
     equations = oscillator(frequency=1.0, stiffness=50.0, damping=40.0, gap=0.5)
-    phases = contact_phases(equations)
+    phases = phases_of(equations)
     step = longest_step(phases, jnp.asarray(1.0), 1e-6)
     assert 0 < step < 1
     end, _, measures = run_free(phases, jnp.array([0.0, 1.0]), 2 * math.pi / 3, 1)
@@ -291,7 +294,7 @@ def test_stops_on_either_side(rig):
     stops = (vj.Stop(0.5, 4e-4, law), vj.Stop(0.8, 1e-3, vj.KelvinVoigt(3e3, 0.2), side=-1))
     one = vj.ImpactingBeam(beam, stops, vj.BaseMotion(2e-4), damping_ratio=0.018, num_modes=2)
     equations = one.equations()
-    march = vj.ExactContact(1e-9).prepare(equations, one.drive)
+    march = prepare(arrays(one))
     w1, zeta = np.asarray(equations.angular_frequency), 0.018
     place, push = np.asarray(equations.stop_map), np.asarray(equations.force_map)
     gaps, stiffness, damping = (4e-4, 1e-3), (5500.0, 3e3), (0.5, 0.2)

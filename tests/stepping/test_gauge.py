@@ -15,10 +15,16 @@ def run(march, state, angular_frequency, periods, observe):
     return march(state, angular_frequency, periods, observe)
 
 
+@eqx.filter_jit
+def prepare(equations, drive, tolerance):
+    return vj.ExactContact(tolerance).prepare(equations, drive)
+
+
 def marched(rig, ratios, periods, tolerance=1e-4, state=None, observe=True):
     """March lanes that differ in frequency over drive periods; from rest where nothing is said."""
-    march = vj.ExactContact(tolerance).prepare(rig.equations(), rig.drive)
-    w = jnp.asarray(ratios) * float(rig.equations().angular_frequency[0])
+    equations = rig.equations()
+    march = prepare(equations, rig.drive, tolerance)
+    w = jnp.asarray(ratios) * float(equations.angular_frequency[0])
     weight = march.energy_weight()
     start = jnp.zeros((weight.shape[0], len(w))) if state is None else state
     return run(march, start, w, jnp.full(len(w), periods, jnp.int32), observe)
