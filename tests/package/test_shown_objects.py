@@ -189,7 +189,7 @@ def made_by_programs():
     yield history.cycles()
     yield history.poincare()
     yield vj.simulate(oscillator, gap=[0.9, 1.0], frequency=frequency, periods=3)
-    yield vj.periodic_response(oscillator(gap=10.0), frequency=frequency)
+    yield vj.periodic_response(vj.default_rig(num_modes=1), frequency_ratio=1.1)
 
 
 @pytest.mark.slow
