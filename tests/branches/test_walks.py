@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.linalg
+from rod import rod
 
 import vibrojax as vj
 from vibrojax.branches import contacts, walking
@@ -16,36 +16,6 @@ from vibrojax.branches.walking import Walk
 
 TURN = 2 * np.pi
 DATA = Path(__file__).parents[1] / "data"
-LENGTH, AREA, YOUNG, DENSITY = 0.13, 15.6e-4, 210e9, 7800.0
-
-
-def rod(ratio, elements):
-    """A clamped-free rod of bar elements whose tip meets an elastic obstacle.
-
-    Vadcard, Batailly, Thouverez, J. Sound Vib. 531 (2022) 116950, Table 1; `ratio` is the stiffness
-    of the obstacle over that of the rod.
-    """
-    size = LENGTH / elements
-    stiffness, mass = np.zeros((2, elements + 1, elements + 1))
-    for e in range(elements):
-        at = np.ix_((e, e + 1), (e, e + 1))
-        stiffness[at] += YOUNG * AREA / size * np.array([[1, -1], [-1, 1]])
-        mass[at] += DENSITY * AREA * size / 6 * np.array([[2, 1], [1, 2]])
-    stiffness, mass = stiffness[1:, 1:], mass[1:, 1:]
-    squares, shapes = scipy.linalg.eigh(stiffness, mass)
-    damping = mass @ shapes @ np.diag(2 * 0.0075 * np.sqrt(squares)) @ shapes.T @ mass
-    tip = np.eye(elements)[-1]
-    law = vj.KelvinVoigt(ratio * YOUNG * AREA / LENGTH)
-    return vj.MatrixSystem(
-        mass,
-        damping,
-        stiffness,
-        stops=vj.Stop(None, 0.2e-3, law),
-        stop_map=tip[None],
-        drive=vj.PointForce(25e3),
-        input_map=tip,
-        response_map=tip,
-    )
 
 
 def special(branch, kind):
