@@ -3,6 +3,7 @@
 At a touch two changes of contact of one stop come into being or vanish together: a *pair*.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -42,8 +43,8 @@ MetTimes = Float[np.ndarray, " met_events"]
 
 def is_ordered(contacts: Contacts, times: Times, whole: float) -> bool:
     """Whether events follow one another within the period `whole` (rad)."""
-    ends = [contacts.section, *times, contacts.section + whole]
-    return bool(np.all(np.diff(ends) >= 0))
+    ends = [contacts.section, *times.tolist(), contacts.section + whole]
+    return all(a <= b for a, b in pairwise(ends))
 
 
 def in_order(contacts: Contacts, times: Times) -> tuple[Contacts, Times]:

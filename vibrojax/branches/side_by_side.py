@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from vibrojax.branches.contacts import TURN, Contacts
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, length_of
 from vibrojax.steady.contact_times import Events
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.orbit_curve import ROOM, Condition, Try, read_on_curve, solve_on_curve
@@ -209,7 +209,7 @@ def _solved(
     rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
 ) -> list[OnCurve]:
     """Motions that were asked for; their error says whether they are any."""
-    found = [_nothing(ask) for ask in asks]
+    found: dict[int, OnCurve] = {}
     fit = np.flatnonzero([len(ask.times) <= ROOM for ask in asks])
     for rows, count in _in_parts(len(fit), _width(len(fit))):
         at = fit[rows]
@@ -224,9 +224,8 @@ def _solved(
                 for a, m in zip(own, part, strict=True)
             ]
             part = _solve(rigs, lanes[at], scales[at], again)
-        for i, motion in zip(at[:count], part, strict=False):
-            found[i] = motion
-    return found
+        found |= dict(zip(at[:count].tolist(), part, strict=False))
+    return [found[i] if i in found else _nothing(ask) for i, ask in enumerate(asks)]
 
 
 def _nothing(ask: Ask) -> OnCurve:
@@ -245,23 +244,22 @@ def _solve(
     for i, ask in enumerate(asks):
         n = len(ask.times)
         with np.errstate(over="ignore"):  # of one that has run away
-            size = max(np.linalg.norm(solved.state[i]), 1e-300)
-            far = np.linalg.norm(solved.state_along[i]) / size
-        length = np.hypot(far, solved.parameter_along[i] / scales[i, -1])
-        length = length if np.isfinite(length) and length > 0 else 1.0
+            far = length_of(solved.state_along[i]) / max(length_of(solved.state[i]), 1e-300)
+        long = np.hypot(far, solved.parameter_along[i] / scales[i, -1])
+        long = long if np.isfinite(long) and long > 0 else 1.0
         found.append(
             OnCurve(
                 contacts=ask.contacts,
                 times=solved.times[i, :n].copy(),
                 state=solved.state[i].copy(),
                 parameter=float(solved.parameter[i]),
-                state_along=solved.state_along[i] / length,
-                times_along=solved.times_along[i, :n] / length,
-                parameter_along=float(solved.parameter_along[i] / length),
+                state_along=solved.state_along[i] / long,
+                times_along=solved.times_along[i, :n] / long,
+                parameter_along=float(solved.parameter_along[i] / long),
                 matrix=solved.matrix[i].copy(),
                 error=float(solved.error[i]),
                 rounds=int(solved.rounds[i]),
-                height_along=float(solved.height_along[i] / length),
+                height_along=float(solved.height_along[i] / long),
                 bend=float(solved.bend[i]),
             )
         )
