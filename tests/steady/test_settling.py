@@ -1,12 +1,12 @@
 import json
 from pathlib import Path
 
-import equinox as eqx
 import exact_propagation
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from marches import prepared
 
 import vibrojax as vj
 from vibrojax._tools.machine import second_level_cache
@@ -30,14 +30,9 @@ def settled(march, state, frequency, max_periods=600):
     )
 
 
-@eqx.filter_jit
-def prepare(equations, drive, tolerance):
-    return vj.ExactContact(tolerance).prepare(equations, drive)
-
-
 def lanes_of(one, count):
     """The march of one rig, for so many lanes."""
-    march = prepare(one.equations(), one.drive, 1e-8 if count > 1 else 1e-6)
+    march = prepared(one.equations(), one.drive, 1e-8 if count > 1 else 1e-6)
     return jax.tree.map(lambda a: jnp.repeat(jnp.asarray(a)[..., None], count, axis=-1), march)
 
 

@@ -198,9 +198,11 @@ def test_derivative_of_the_propagators(rig, oscillator, which, name):
 
     @jax.jit
     def slope_at(factor):
-        return jax.jvp(lambda f: propagators(contact_phases(changed(f)), time), (factor,), (1.0,))[
-            1
-        ]
+        def of(factor):
+            return propagators(contact_phases(changed(factor)), time)
+
+        _, slope = jax.jvp(of, (factor,), (1.0,))
+        return slope
 
     slope = slope_at(1.0)
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from marches import prepared
 from scipy.integrate import solve_ivp
 
 import vibrojax as vj
@@ -48,11 +49,6 @@ def run_free(phases, state, angular_frequency, periods, amplitude=0.0):
     force = forcing(phases, amplitude, w, jnp.zeros_like(w))
     ruler = Ruler(jnp.asarray(1e-12), jnp.asarray(jnp.inf))
     return exact_contact.march(phases, force, state, jnp.asarray(periods, jnp.int32), ruler=ruler)
-
-
-@eqx.filter_jit
-def prepared(equations, drive, tolerance, steps):
-    return vj.ExactContact(tolerance, steps).prepare(equations, drive)
 
 
 def prepare(rig, tolerance=1e-9, steps=None):

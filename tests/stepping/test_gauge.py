@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from marches import prepared
 
-import vibrojax as vj
 from vibrojax.stepping.gauge import PLACES
 
 
@@ -15,15 +15,10 @@ def run(march, state, angular_frequency, periods, observe):
     return march(state, angular_frequency, periods, observe)
 
 
-@eqx.filter_jit
-def prepare(equations, drive, tolerance):
-    return vj.ExactContact(tolerance).prepare(equations, drive)
-
-
 def marched(rig, ratios, periods, tolerance=1e-4, state=None, observe=True):
     """March lanes that differ in frequency over drive periods; from rest where nothing is said."""
     equations = rig.equations()
-    march = prepare(equations, rig.drive, tolerance)
+    march = prepared(equations, rig.drive, tolerance)
     w = jnp.asarray(ratios) * float(equations.angular_frequency[0])
     weight = march.energy_weight()
     start = jnp.zeros((weight.shape[0], len(w))) if state is None else state
