@@ -15,7 +15,7 @@ from vibrojax.branches.contacts import (
     same,
     without,
 )
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, at_value, length_of
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, at_value
 
 FREE = Contacts((), 0, 0.0)
 
@@ -60,7 +60,7 @@ class CurveSearch:
 
     def apart(self, a: OnCurve, b: OnCurve) -> float:
         """Distance of two motions that are cut at the same drive phase, in arclength."""
-        moved = length_of(b.state - a.state) / a.size
+        moved = np.linalg.norm(b.state - a.state) / a.size
         return float(np.hypot(moved, (b.parameter - a.parameter) / self.scale))
 
     def ahead(self, a: OnCurve, step: float) -> Ask:

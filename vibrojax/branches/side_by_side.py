@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from vibrojax.branches.contacts import TURN, Contacts
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, length_of
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen
 from vibrojax.steady.contact_times import Events
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.orbit_curve import ROOM, Condition, Try, read_on_curve, solve_on_curve
@@ -244,22 +244,23 @@ def _solve(
     for i, ask in enumerate(asks):
         n = len(ask.times)
         with np.errstate(over="ignore"):  # of one that has run away
-            far = length_of(solved.state_along[i]) / max(length_of(solved.state[i]), 1e-300)
-        long = np.hypot(far, solved.parameter_along[i] / scales[i, -1])
-        long = long if np.isfinite(long) and long > 0 else 1.0
+            size = max(np.linalg.norm(solved.state[i]), 1e-300)
+            far = np.linalg.norm(solved.state_along[i]) / size
+        length = np.hypot(far, solved.parameter_along[i] / scales[i, -1])
+        length = length if np.isfinite(length) and length > 0 else 1.0
         found.append(
             OnCurve(
                 contacts=ask.contacts,
                 times=solved.times[i, :n].copy(),
                 state=solved.state[i].copy(),
                 parameter=float(solved.parameter[i]),
-                state_along=solved.state_along[i] / long,
-                times_along=solved.times_along[i, :n] / long,
-                parameter_along=float(solved.parameter_along[i] / long),
+                state_along=solved.state_along[i] / length,
+                times_along=solved.times_along[i, :n] / length,
+                parameter_along=float(solved.parameter_along[i] / length),
                 matrix=solved.matrix[i].copy(),
                 error=float(solved.error[i]),
                 rounds=int(solved.rounds[i]),
-                height_along=float(solved.height_along[i] / long),
+                height_along=float(solved.height_along[i] / length),
                 bend=float(solved.bend[i]),
             )
         )

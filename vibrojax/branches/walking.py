@@ -14,7 +14,7 @@ from jaxtyping import Float
 from vibrojax.branches.contacts import in_order, is_ordered
 from vibrojax.branches.continuation import LOOP_POINTS, Ending
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch, length_of
+from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch
 from vibrojax.branches.touches import SHARP, Passed, by_duration, closing, touch_between, vanish
 
 FIRST, SHORTEST = 0.02, 1e-9
@@ -317,7 +317,7 @@ class Walk:
         found = self.search.oriented(found, last)
         cosine = self.search.along(last, found.state_along, found.parameter_along)
         cosine /= np.hypot(
-            length_of(found.state_along) / last.size, found.parameter_along / self.search.scale
+            np.linalg.norm(found.state_along) / last.size, found.parameter_along / self.search.scale
         )
         gone, long = self.search.apart(last, found), 2.5 * step + 1e-9
         turns = self.search.turns_round(last, found) or self.turns_twice(last, found, step)
