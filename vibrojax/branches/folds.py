@@ -11,16 +11,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from vibrojax._tools.compiled import compiled
+from vibrojax._tools.checks import is_traced
+from vibrojax._tools.compiled import compiled, is_alone
 from vibrojax._tools.described import shown_value
+from vibrojax._tools.programs import sorted_out
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.points import SpecialPoint
 from vibrojax.model.systems import AbstractSystem, as_arrays
-from vibrojax.steady.contact_times import Events, Orbit, follow_events
+from vibrojax.steady.contact_times import TO_SECOND, Events, Orbit, PiecewiseMotion, follow_events
 from vibrojax.steady.exact_point import sampled_guess
-from vibrojax.steady.implicit import frozen, with_columns
+from vibrojax.steady.implicit import compile_columns_ahead, frozen, with_columns
 from vibrojax.steady.orbit_reading import read_motion
-from vibrojax.steady.paths import FrequencyPath, frequency_path
+from vibrojax.steady.paths import FrequencyPath, exact_path
 from vibrojax.stepping.choice import is_exact
 
 lax = jax.lax
@@ -57,7 +59,8 @@ def fold_response(system: AbstractSystem, near: SpecialPoint | Fold, *, axis: st
     """Solve for the fold near one that is known, of this or of a similar system.
 
     Its numbers can be differentiated with respect to every number in the system, in forward and
-    reverse mode (implicitly, on the condition of the fold), and mapped with `jax.vmap`.
+    reverse mode (implicitly, on the condition of the fold), twice (`jax.hessian`), and mapped with
+    `jax.vmap`.
 
     Parameters:
         system: a system with linear stops (KelvinVoigt without smoothing).
@@ -76,7 +79,15 @@ def fold_response(system: AbstractSystem, near: SpecialPoint | Fold, *, axis: st
     state = frozen(jnp.asarray(near.initial_state, float))
     value = frozen(jnp.asarray(near.parameter, float))
     arrays, is_ratio = as_arrays(system), axis == "frequency_ratio"
-    found = _search(frozen(arrays), state, value, is_ratio)
+    still = frozen(arrays)
+    if is_alone(sorted_out((still, state, value))[0]):
+        path = exact_path.ahead(still, is_ratio)
+        found = _search.ahead(path, state, value)
+        if any(is_traced(a) for a in jax.tree.leaves(arrays)):  # to be differentiated
+            compile_columns_ahead(_fold, arrays, *found, is_ratio)
+        else:
+            _read.ahead(path, *found)
+    found = _search(exact_path(still, is_ratio), state, value)
     return with_columns(_fold, arrays, *found, is_ratio)
 
 
@@ -93,27 +104,36 @@ class _Frame(NamedTuple):
 def _condition(path: FrequencyPath, frame: _Frame, times, unknown):
     """Return of the state and the measure of singularity that vanishes at a fold; contact times."""
     x, p = unknown[:-1], unknown[-1]
-
-    def end(x):
-        orbit = Orbit(x * frame.size, times)
-        motion = follow_events(path.tables(p), frame.events, orbit, 1, twice=True)
-        return motion.end / frame.size, motion
-
-    matrix, motion = jax.jacfwd(end, has_aux=True)(x)
-    after = motion.end / frame.size
+    orbit = Orbit(x * frame.size, times)
+    motion = follow_events(path.tables(p), frame.events, orbit, 1, with_jacobian=True)
     left, right = frame.border
-    n = x.size
-    bordered = jnp.block([[matrix - jnp.eye(n), left[:, None]], [right[None], jnp.zeros((1, 1))]])
-    measure = jnp.linalg.solve(bordered, jnp.zeros(n + 1).at[-1].set(1.0))[-1]
-    return jnp.append(after - x, measure), motion.times
+    still = _still(motion, frame.size)
+    bordered = jnp.block([[still, left[:, None]], [right[None], jnp.zeros((1, 1))]])
+    measure = jnp.linalg.solve(bordered, jnp.zeros(x.size + 1).at[-1].set(1.0))[-1]
+    return jnp.append(motion.end / frame.size - x, measure), motion.times
 
 
-@compiled
+def _still(motion: PiecewiseMotion, size: Array) -> Array:
+    """Jacobian of the return of a motion, in its units: singular at a fold."""
+    assert motion.jacobian is not None
+    return motion.jacobian * size / size[:, None] - jnp.eye(size.size)
+
+
 def _fold(system, frame, times, unknown, jacobian, error, is_ratio) -> Fold:
-    path = frequency_path(system, is_ratio, True)
-    out, _ = _condition(path, frame, times, unknown)
+    return _read(exact_path(system, is_ratio), frame, times, unknown, jacobian, error)
+
+
+@compiled(lightly=True)
+def _read(path: FrequencyPath, frame, times, unknown, jacobian, error) -> Fold:
     good = error < SOLVED
-    unknown = unknown - jnp.linalg.solve(jacobian, jnp.where(good, out, 0.0))
+
+    def newton(carry, _):
+        unknown, times = carry
+        out, times = _condition(path, frame, times, unknown)
+        return (unknown - jnp.linalg.solve(jacobian, jnp.where(good, out, 0.0)), times), None
+
+    # As for a periodic response: steps from the solution make its derivatives.
+    (unknown, times), _ = lax.scan(newton, (unknown, times), length=TO_SECOND)
     value = unknown[-1]
     tables = path.tables(value)
     orbit = Orbit(unknown[:-1] * frame.size, times)
@@ -133,9 +153,8 @@ def _fold(system, frame, times, unknown, jacobian, error, is_ratio) -> Fold:
 
 
 @compiled
-def _search(system, state, value, is_ratio) -> Any:
+def _search(path: FrequencyPath, state, value) -> Any:
     """Newton's method on motion, frequency and singularity; no derivatives."""
-    path = frequency_path(system, is_ratio, True)
     assert path.phases is not None
     events, (start, times), _ = sampled_guess(path, value, state, 1)
     size = jnp.linalg.norm(start * path.phases.weight) / path.phases.weight
@@ -144,22 +163,18 @@ def _search(system, state, value, is_ratio) -> Any:
     frame = _Frame(events, size, blank)
 
     # Bordered by the singular vectors of the first matrix, the measure is well scaled.
-    def first_matrix(x):
-        orbit = Orbit(x * size, times)
-        return follow_events(path.tables(value), events, orbit, 1).end / size
-
-    matrix = jax.jacfwd(first_matrix)(unknown[:-1])
-    left, _, right = jnp.linalg.svd(matrix - jnp.eye(start.size))
+    first = follow_events(path.tables(value), events, Orbit(start, times), 1, with_jacobian=True)
+    left, _, right = jnp.linalg.svd(_still(first, size))
     frame = frame._replace(border=jnp.stack([left[:, -1], right[-1]]))
 
     def newton(carry, last):
         unknown, times, _, _ = carry
 
         def condition(u):
-            return _condition(path, frame, times, u)
+            out, times_there = _condition(path, frame, times, u)
+            return out, (out, times_there)
 
-        jacobian, now = jax.jacfwd(condition, has_aux=True)(unknown)
-        out, _ = condition(unknown)
+        jacobian, (out, now) = jax.jacfwd(condition, has_aux=True)(unknown)
         change = jnp.linalg.solve(jacobian, -out)
         length = jnp.max(jnp.abs(change))
         change = change * jnp.minimum(1.0, 0.1 / jnp.where(length > 0, length, 1.0))

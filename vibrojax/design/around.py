@@ -134,7 +134,7 @@ class _Curve:
         w = unknown[-1] * self.motion.scale * path.unit
         tables = tables_of(path.phases, path.drive, w, resonant=False)
         events, orbit = self.motion.events, Orbit(unknown[:-1] / self.unit, times)
-        return tables, follow_events(tables, events, orbit, self.period, events.number)
+        return tables, follow_events(tables, events, orbit, self.period)
 
     def held_matrix(self) -> Array:
         """Of Newton's method, at the motion that is known."""

@@ -113,7 +113,7 @@ def _contact_monodromy(path: FrequencyPath, place: Place, depth, force):
     events, w = found.events, place.angular_frequency
     state = state_of(place.equations, place.drive, w, force, events.section, samples=samples)
     tables, orbit = tables_of(path.phases, place.drive, w), Orbit(state, found.times)
-    jacobian = follow_events(tables, events, orbit, 1, events.number, with_jacobian=True).jacobian
+    jacobian = follow_events(tables, events, orbit, 1, with_jacobian=True).jacobian
     assert jacobian is not None
     weight = path.phases.weight
     return jnp.where(found.number <= MOST_EVENTS, weight[:, None] * jacobian / weight, jnp.nan)

@@ -24,6 +24,10 @@ lax = jax.lax
 
 ITERATIONS = 8
 """Newton's steps to an orbit."""
+TO_SECOND = 3
+"""Newton's steps from a solution with which its first and second derivatives are right: where the
+force jumps at a change of contact, what is missing to its time in one step is put right in the
+next."""
 
 Phase = Int[ArrayLike, ""]
 Angle = Float[ArrayLike, ""]
@@ -103,7 +107,6 @@ def _lateness(
     stop: Int[Array, ""],
     moved: Float[Array, " states"],
     angle: Angle,
-    with_slope: bool = False,
 ) -> Float[Array, ""]:
     """First-order time (rad) by which the stop's change of contact comes later than the angle."""
     phases, stops = tables.phases, tables.phases.num_stops
@@ -126,9 +129,7 @@ def _lateness(
             slope,
             read(2 * stops + stop),
         )
-    slope = slope / tables.angular_frequency
-    if not with_slope:
-        slope = lax.stop_gradient(slope)
+    slope = lax.stop_gradient(slope / tables.angular_frequency)
     return -value / jnp.where(slope == 0, 1.0, slope)
 
 
@@ -152,21 +153,16 @@ def follow_events(
     events: Events,
     orbit: Orbit,
     period: int,
-    count: int | Int[Array, ""] | None = None,
     *,
     with_jacobian: bool = False,
-    twice: bool = False,
 ) -> PiecewiseMotion:
     """Follow a motion from the section through its events, over `period` drive periods.
 
     Every event is moved to where its stop changes contact, to first order: at a motion whose times
-    are right nothing moves, and the derivative includes the change of the times (saltation).
-    `count` is the number of events to go through; without it all places are, which reverse mode
-    needs. `twice` corrects the times twice, which second derivatives need.
+    are right nothing moves, and the first derivative includes the change of the times (saltation);
+    `motion_from` has the second. Only forward mode goes through the loop.
     """
     phases = tables.phases
-    # The Jacobian is no object of differentiation itself.
-    fixed = lax.stop_gradient(tables)
     room = orbit.times.size
     last = events.section + 2 * np.pi * period
     size = room + 1
@@ -197,12 +193,8 @@ def follow_events(
             following = jnp.where(k + 1 < room, times[jnp.minimum(k + 1, room - 1)], last)
             room_left = jnp.minimum(jnp.minimum(angle - begun, following - angle), 1.0)
             limit = 0.4 * lax.stop_gradient(jnp.maximum(room_left, 0.0))
-            late = _lateness(tables, phase, s, moved, angle, twice)
+            late = _lateness(tables, phase, s, moved, angle)
             angle = angle + jnp.where(used, jnp.clip(late, -limit, limit), 0.0)
-            if twice:
-                moved = moved_on(tables, phase, blocks, begun, angle - begun)
-                late = _lateness(tables, phase, s, moved, angle, twice)
-                angle = angle + jnp.where(used, jnp.clip(late, -limit, limit), 0.0)
         moved = moved_on(tables, phase, blocks, begun, angle - begun)
         state = phases.to_state[phase] @ (moved + forced(tables, phase, angle))
         return (
@@ -214,10 +206,10 @@ def follow_events(
             blocks_passed.at[:, j].set(blocks),
             starts.at[j].set(begun),
             ends.at[j].set(angle),
-            None if push is None else _push(fixed, phase, s, used, push, angle - begun),
+            None if push is None else _push(tables, phase, s, used, push, angle - begun),
         )
 
-    steps = size if count is None else jnp.minimum(count, room) + 1
+    steps = jnp.minimum(events.number, room) + 1
     start = varied(start, tables.angular_frequency, orbit.state)
     end, phase, _, times, passed, blocks, starts, ends, push = lax.fori_loop(
         0, steps, segment, start
@@ -236,7 +228,7 @@ def _push(
 ) -> Float[Array, "states states"]:
     """Carry the Jacobian through a phase and the change of contact at its end."""
     phases = tables.phases
-    time = lax.stop_gradient(angle) / tables.angular_frequency
+    time = angle / tables.angular_frequency
     decay, rate = phases.exponent[phase][..., None], phases.rate[phase][:, None]
     moved = free_blocks(decay, rate, phases.from_state[phase] @ matrix, time)
     matrix = phases.to_state[phase] @ moved
@@ -265,7 +257,7 @@ class Solved(NamedTuple):
 
 def solve_orbit(tables: Tables, events: Events, orbit: Orbit, period: int) -> Solved:
     """Newton's method on the state at the section, the event times following."""
-    n, count, weight = orbit.state.size, events.number, tables.phases.weight
+    n, weight = orbit.state.size, tables.phases.weight
     guess = weight * orbit.state
     energy = jnp.sqrt(jnp.sum(guess**2))
     size = jnp.where(energy > 0, energy, 1.0)
@@ -273,7 +265,7 @@ def solve_orbit(tables: Tables, events: Events, orbit: Orbit, period: int) -> So
     def newton(carry: tuple[Any, ...], last: Bool[Array, ""]) -> tuple[tuple[Any, ...], None]:
         x, times, _ = carry
         orbit = Orbit(x * (size / weight), times)
-        motion = follow_events(tables, events, orbit, period, count, with_jacobian=True)
+        motion = follow_events(tables, events, orbit, period, with_jacobian=True)
         assert motion.jacobian is not None
         matrix = weight[:, None] * motion.jacobian / weight
         back = motion.end * (weight / size) - x
@@ -305,3 +297,28 @@ def solve_orbit(tables: Tables, events: Events, orbit: Orbit, period: int) -> So
     rounds = jnp.arange(ITERATIONS + 1) == ITERATIONS
     (x, times, (error, matrix, motion)), _ = lax.scan(newton, carry, rounds)
     return Solved(Orbit(x * size / weight, times), error, matrix, motion)
+
+
+def motion_from(
+    tables: Tables,
+    events: Events,
+    orbit: Orbit,
+    jacobian: Float[Array, "states states"],
+    solved: Bool[Array, ""],
+    period: int,
+) -> PiecewiseMotion:
+    """Return the motion of an orbit, with the first and second derivatives of the solution.
+
+    These are by the `tables`: steps of Newton's method from the solution, all else held, have its
+    value and its implicit derivatives. Where it is not `solved` it stays where it is.
+    """
+    still = jnp.eye(orbit.state.size) - jacobian
+
+    def newton(orbit: Orbit, _: None) -> tuple[Orbit, PiecewiseMotion]:
+        motion = follow_events(tables, events, orbit, period)
+        gap = jnp.where(solved, motion.end - orbit.state, 0.0)
+        return Orbit(orbit.state + jnp.linalg.solve(still, gap), motion.times), motion
+
+    # The last motion is that of the last step's orbit.
+    _, motions = lax.scan(newton, orbit, length=TO_SECOND + 1)
+    return jax.tree.map(lambda a: a[-1], motions)

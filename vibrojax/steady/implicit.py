@@ -1,5 +1,6 @@
 """Derivatives of a solution without those of the search that found it."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -19,7 +20,9 @@ def frozen(tree: Any) -> Any:
     return jax.tree.map(lambda a: jax.lax.stop_gradient(a) if eqx.is_array(a) else a, tree)
 
 
-def with_columns(function: Callable[..., Result], numbers: Any, *constants: Any) -> Result:
+def with_columns(
+    function: Callable[..., Result], numbers: Any, *constants: Any, first_only: str = ""
+) -> Result:
     """Return `function(numbers, *constants)` with derivatives in both modes, from forward mode.
 
     The Jacobian is formed column by column, one per number, and only when a derivative is asked
@@ -27,6 +30,9 @@ def with_columns(function: Callable[..., Result], numbers: Any, *constants: Any)
     outside of other transformations are a compiled program, as the values are. `numbers` is a
     PyTree of arrays, as `function` returns one; it has no derivative in the `constants`. What JAX
     is tracing must be among them, not closed over.
+
+    Raises `ValueError` for derivatives of derivatives where the first ones alone are right:
+    `first_only` is what it says.
     """
     flat, unravel = ravel_pytree(numbers)
     arrays, held = eqx.partition(frozen(constants), eqx.is_array)
@@ -43,7 +49,7 @@ def with_columns(function: Callable[..., Result], numbers: Any, *constants: Any)
         (x, arrays), (change, _) = primals, tangents
         found, columns = _columns(function, unravel(x), eqx.combine(arrays, held))
         out, structure[:] = jax.tree.leaves(found), [jax.tree.structure(found)]
-        left = iter(columns)
+        left = iter(_once(columns, first_only) if first_only else columns)
         changes = [
             (next(left) @ change).astype(a.dtype)
             if _is_smooth(a)
@@ -54,6 +60,17 @@ def with_columns(function: Callable[..., Result], numbers: Any, *constants: Any)
 
     leaves = values(flat, arrays)
     return jax.tree.unflatten(structure[0], leaves)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _once(columns: list[Any], refusal: str) -> list[Any]:
+    """Derivatives that have none themselves."""
+    return columns
+
+
+@_once.defjvp
+def _once_jvp(refusal: str, primals: Any, tangents: Any) -> Any:
+    raise ValueError(refusal)
 
 
 def compile_columns_ahead(function: Callable[..., Any], numbers: Any, *constants: Any) -> None:

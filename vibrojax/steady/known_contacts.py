@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from vibrojax.steady.contact_times import Events
 from vibrojax.stepping.contact_loop import ContactLoop
 from vibrojax.stepping.contact_phases import spread
-from vibrojax.stepping.elementary import computed_once, pick
+from vibrojax.stepping.elementary import computed_once, matrix_product, pick
 from vibrojax.stepping.turns import product, turn_over, turned
 
 lax = jax.lax
@@ -137,9 +137,10 @@ class KnownContacts:
             def changed() -> tuple[Array, Array]:
                 after = loop.change_phase(blocks, phase, stop, time).reshape(states, -1)
                 table = spread(loop.phases.change, 4, loop.lanes)
-                table = jnp.moveaxis(pick(stop, pick(phase, table)), 1, 0)
-                table = table.reshape(2, loop.n, states, 1, -1)
-                pushed = product(table, matrix[:, :, None]) + kick[:, None] * read
+                pushed = matrix_product(
+                    pick(stop, pick(phase, table)), matrix.reshape(states, states, -1)
+                )
+                pushed = pushed + kick[:, None] * read
                 after = (after + kick * signal[0]).reshape(blocks.shape)
                 return after, pushed.reshape(matrix.shape)
 

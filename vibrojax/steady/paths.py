@@ -190,3 +190,9 @@ def frequency_path(system: AbstractSystem, is_ratio: bool, exact: bool) -> Frequ
     unit = equations.angular_frequency[0] if is_ratio else jnp.asarray(2 * jnp.pi)
     phases = contact_phases(equations) if exact else None
     return FrequencyPath(equations, system.drive, unit, phases)
+
+
+@compiled(lightly=True)
+def exact_path(system: AbstractSystem, is_ratio: bool) -> FrequencyPath:
+    """Make that path with the exact propagators, as a program of its own that many searches run."""
+    return frequency_path(system, is_ratio, True)

@@ -16,12 +16,12 @@ from vibrojax.model.laws import is_linear
 from vibrojax.model.states import ABOUT_STATES, as_state
 from vibrojax.model.systems import AbstractSystem, as_arrays, check_is_system, equation_kinds
 from vibrojax.steady.balanced_motion import balanced_strobes, read_balanced, solve_balance
-from vibrojax.steady.contact_times import Events, Orbit, follow_events
+from vibrojax.steady.contact_times import Events, Orbit, follow_events, motion_from
 from vibrojax.steady.exact_point import ExactPoint, Guess, exact_point, sampled_guess
 from vibrojax.steady.implicit import compile_columns_ahead, frozen, with_columns
 from vibrojax.steady.methods import HarmonicBalance, PeriodicSettings, Shooting, check_balance
 from vibrojax.steady.orbit_reading import find_crossings, read_motion, state_at
-from vibrojax.steady.paths import FrequencyPath, frequency_path
+from vibrojax.steady.paths import FrequencyPath, exact_path, frequency_path
 from vibrojax.steady.periodic_result import PeriodicResponse, numbers_of
 from vibrojax.steady.shooting import shoot
 from vibrojax.steady.starting import SAMPLES, sampled_motion, settled_motion
@@ -34,6 +34,10 @@ REPAIRS = 3
 """Searches anew with the contacts that were found, where they are others than guessed."""
 MOST_RESIDUAL = 0.1
 """Residual of a balance on a finer grid at which it is no motion."""
+FIRST_ONLY = (
+    "A motion found by harmonic balance has no second derivatives: its peaks are read off samples. "
+    "Use PeriodicSettings(method=Shooting()), or differences of the first derivatives."
+)
 
 
 @validated(traceable=True)
@@ -49,7 +53,8 @@ def periodic_response(
 
     It can be differentiated with respect to every number in the system and the frequency, in
     forward and reverse mode, and mapped with `jax.vmap`, in both nestings. Derivatives are those of
-    the solution (implicit), never of the search or of a transient.
+    the solution (implicit), never of the search or of a transient; second ones (`jax.hessian`) too,
+    except for a motion found by harmonic balance.
 
     Parameters:
         system: what moves.
@@ -62,8 +67,9 @@ def periodic_response(
             until it settles.
         settings: `vj.PeriodicSettings(period=..., tolerance=..., method=...)`.
 
-    Raises `ValueError` for arguments that contradict each other, a tolerance out of reach, or a
-    method that cannot take the system. A search that fails is flagged in `status`.
+    Raises `ValueError` for arguments that contradict each other, a tolerance out of reach, a method
+    that cannot take the system, or second derivatives of a balance. A search that fails is flagged
+    in `status`.
     Where a guess led elsewhere, to a motion that lies far from it (`guess_distance`) or repeats
     sooner than asked for (`minimal_period`), the result says so, and a warning outside of
     transformations.
@@ -103,13 +109,13 @@ def periodic_response(
     elif by_contacts:
         numbers, how, still = (arrays, value), (period, state), frozen((arrays, value))
         if is_alone(sorted_out((still, state))[0]):
-            path = _path_of.ahead(still[0], is_ratio)
+            path = exact_path.ahead(still[0], is_ratio)
             point = _solved_exactly.ahead(path, still[1], *how)
             if any(is_traced(a) for a in jax.tree.leaves(numbers)):  # to be differentiated
                 compile_columns_ahead(_exact, numbers, point, *how, is_ratio)
             else:
                 _read_exactly.ahead(path, still[1], point, *how)
-        point = _solved_exactly(_path_of(still[0], is_ratio), still[1], *frozen(how))
+        point = _solved_exactly(exact_path(still[0], is_ratio), still[1], *frozen(how))
         found = with_columns(_exact, numbers, point, *how, is_ratio)
     elif not equations.stops:
         raise ValueError("HarmonicBalance() needs a stop; leave method out for a linear system.")
@@ -117,7 +123,7 @@ def periodic_response(
         balance = HarmonicBalance() if method is None else method
         samples, harmonics = balance.samples_for(tolerance), balance.harmonics
         how = is_ratio, period, state, samples, harmonics, exact
-        found = with_columns(_by_balance, (arrays, value), *how)
+        found = with_columns(_by_balance, (arrays, value), *how, first_only=FIRST_ONLY)
     response = PeriodicResponse(
         **found,
         period=period,
@@ -136,30 +142,15 @@ def _warn_of_guess(found: PeriodicResponse) -> None:
         warn(f"From this guess: {found.sentence} {ABOUT_STATES}")
 
 
-@compiled(lightly=True)
-def _path_of(system: AbstractSystem, is_ratio: bool) -> FrequencyPath:
-    return frequency_path(system, is_ratio, True)
-
-
 def _exact(numbers, found: ExactPoint, period, state, is_ratio) -> dict[str, Array]:
     system, value = numbers
-    return _read_exactly(_path_of(system, is_ratio), value, found, period, state)
+    return _read_exactly(exact_path(system, is_ratio), value, found, period, state)
 
 
 @compiled(lightly=True)
 def _read_exactly(path: FrequencyPath, value, found: ExactPoint, period, state) -> dict[str, Array]:
     tables = path.tables(value)
-    still = jnp.eye(found.orbit.state.size) - found.matrix
-
-    def newton(start, _):
-        motion = follow_events(tables, found.events, Orbit(start, found.orbit.times), period)
-        gap = jnp.where(found.valid, motion.end - start, 0.0)
-        return start + jnp.linalg.solve(still, gap), motion
-
-    # One step from the solution, in which only the numbers of the system are differentiated, has
-    # the value of the solution and its implicit derivative: of two motions the second is wanted.
-    _, motions = lax.scan(newton, found.orbit.state, length=2)
-    motion = jax.tree.map(lambda a: a[-1], motions)
+    motion = motion_from(tables, found.events, found.orbit, found.matrix, found.valid, period)
     reading = read_motion(tables, found.events, motion, period)
     phases = 2 * np.pi * jnp.arange(period)
     strobes = jax.vmap(lambda phase: state_at(tables, motion, phase, found.events.section, period))(
