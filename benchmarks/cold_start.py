@@ -139,6 +139,27 @@ def parameter_map() -> Callable[[], Any]:
     )
 
 
+def periodic_map() -> Callable[[], Any]:
+    import numpy as np
+
+    import vibrojax as vj
+
+    return lambda: vj.parameter_map(
+        vj.default_rig,
+        frequency_ratio=np.linspace(0.9, 1.3, 24),
+        gap=np.linspace(0.2e-3, 0.8e-3, 8),
+        response="periodic",
+        progress=False,
+    )
+
+
+def folds() -> Callable[[], Any]:
+    import vibrojax as vj
+
+    over, gaps = vj.Range(0.9, 1.4), vj.Range(0.36e-3, 0.6e-3, 0.4e-3)
+    return lambda: vj.fold_curves(vj.default_rig, frequency_ratio=over, gap=gaps)
+
+
 def explorer() -> Callable[[], Any]:
     """What a notebook's cell does until sliders and picture are sent to the browser."""
     import vibrojax as vj
@@ -161,6 +182,8 @@ JOBS: dict[str, Callable[[], Callable[[], Any]] | None] = {
     "periodic": periodic,
     "gradient": gradient,
     "map": parameter_map,
+    "periodic_map": periodic_map,
+    "folds": folds,
     "explorer": explorer,
 }
 

@@ -80,6 +80,16 @@ def test_forward_and_reverse_gradients_of_a_fold_agree(small_branch):
     np.testing.assert_allclose(np.array(forward), np.array(reverse), rtol=1e-8)
 
 
+@pytest.mark.long  # to compile
+@pytest.mark.slow
+def test_second_derivatives_of_a_fold_are_differences_of_the_first(small_branch):
+    at = function_of(folds(small_branch)[0])
+    slope, step = jax.grad(at, 1), 2.0
+    second = jax.hessian(at, 1)(*AT)
+    up, down = (slope(AT[0], AT[1] + s * step, AT[2]) for s in (1, -1))
+    np.testing.assert_allclose(second, (up - down) / (2 * step), rtol=1e-5)
+
+
 @pytest.mark.slow
 def test_fold_curves_pass_through_the_folds_of_branches():
     def make(gap):

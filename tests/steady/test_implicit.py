@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from vibrojax._tools.compiled import compiled
 from vibrojax.steady.implicit import with_columns
@@ -25,3 +26,15 @@ def test_the_program_of_a_derivative_gives_the_value_too():
     assert not cube.programs  # nothing was compiled for the value alone
     assert value(x) == found
     assert len(cube.programs) == 1
+
+
+def test_derivatives_of_derivatives_that_would_be_wrong_are_refused():
+    def value(x, first_only):
+        return with_columns(compiled(lambda x: x**2), x, first_only=first_only)
+
+    x = jnp.asarray(1.5)
+    assert jax.grad(value)(x, "It has none.") == 3.0
+    assert jax.hessian(value)(x, "") == 2.0
+    for twice in (jax.hessian(value), jax.grad(jax.grad(value))):
+        with pytest.raises(ValueError, match="It has none"):
+            twice(x, "It has none.")

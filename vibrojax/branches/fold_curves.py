@@ -13,11 +13,11 @@ from vibrojax._tools.signatures import validated
 from vibrojax.branches.along import along_of
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continue_response import continue_response
-from vibrojax.branches.folds import Fold, fold_response
+from vibrojax.branches.folds import Fold, compile_fold_ahead, fold_response
 from vibrojax.branches.points import TURNS, SpecialPoint
 from vibrojax.branches.resampling import polynomial_weights
 from vibrojax.ensemble.ranges import Range
-from vibrojax.model.systems import AbstractSystem
+from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.results.variables import axis_description, described_as
 
 if TYPE_CHECKING:
@@ -182,6 +182,7 @@ def fold_curves(
         return system(**fixed, **{along.name: value})
 
     tracer = _Tracer(make, axis, swept, along.range, max_points)
+    compile_fold_ahead(as_arrays(along.sample), is_ratio)
     branch = tracer.branch(begin)
     curves = []
     for point in branch.special_points:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from vibrojax._tools.checks import is_traced
@@ -27,8 +28,10 @@ from vibrojax.stepping.choice import is_exact
 
 lax = jax.lax
 
-STEPS = 12
-SOLVED = 1e-8
+STEPS = 13
+"""Of Newton's method at the most."""
+DONE, SOLVED = 1e-12, 1e-8
+"""Correction after which there is no need of another, and of a fold that was found."""
 
 
 class Fold(NamedTuple):
@@ -81,14 +84,19 @@ def fold_response(system: AbstractSystem, near: SpecialPoint | Fold, *, axis: st
     arrays, is_ratio = as_arrays(system), axis == "frequency_ratio"
     still = frozen(arrays)
     if is_alone(sorted_out((still, state, value))[0]):
-        path = exact_path.ahead(still, is_ratio)
-        found = _search.ahead(path, state, value)
+        path, found = compile_fold_ahead(still, is_ratio)
         if any(is_traced(a) for a in jax.tree.leaves(arrays)):  # to be differentiated
             compile_columns_ahead(_fold, arrays, *found, is_ratio)
         else:
             _read.ahead(path, *found)
     found = _search(exact_path(still, is_ratio), state, value)
     return with_columns(_fold, arrays, *found, is_ratio)
+
+
+def compile_fold_ahead(system: AbstractSystem, is_ratio: bool) -> tuple[Any, Any]:
+    """Compile the search for folds in the background; shapes of the path and of what is found."""
+    path = exact_path.ahead(system, is_ratio)
+    return path, _search.ahead(path, np.zeros(path.phases.weight.shape), np.zeros(()))
 
 
 class _Frame(NamedTuple):
@@ -167,23 +175,25 @@ def _search(path: FrequencyPath, state, value) -> Any:
     left, _, right = jnp.linalg.svd(_still(first, size))
     frame = frame._replace(border=jnp.stack([left[:, -1], right[-1]]))
 
-    def newton(carry, last):
-        unknown, times, _, _ = carry
+    def newton(carry):
+        unknown, times, _, _, rounds = carry
 
         def condition(u):
             out, times_there = _condition(path, frame, times, u)
             return out, (out, times_there)
 
-        jacobian, (out, now) = jax.jacfwd(condition, has_aux=True)(unknown)
+        jacobian, (out, times) = jax.jacfwd(condition, has_aux=True)(unknown)
         change = jnp.linalg.solve(jacobian, -out)
         length = jnp.max(jnp.abs(change))
         change = change * jnp.minimum(1.0, 0.1 / jnp.where(length > 0, length, 1.0))
         error = jnp.maximum(jnp.max(jnp.abs(out[:-1])), length)
-        unknown = jnp.where(last, unknown, unknown + change)
-        return (unknown, jnp.where(last, times, now), jacobian, error), None
+        return unknown + change, times, jacobian, error, rounds + 1
+
+    def goes_on(carry):
+        *_, error, rounds = carry
+        return (error > DONE) & (rounds < STEPS)
 
     n = unknown.size
-    carry = unknown, times, jnp.zeros((n, n)), jnp.asarray(jnp.inf)
-    rounds = jnp.arange(STEPS + 1) == STEPS
-    (unknown, times, jacobian, error), _ = lax.scan(newton, carry, rounds)
+    carry = unknown, times, jnp.zeros((n, n)), jnp.asarray(jnp.inf), 0
+    unknown, times, jacobian, error, _ = lax.while_loop(goes_on, newton, carry)
     return frame, times, unknown, jacobian, error
