@@ -3,6 +3,7 @@
     python benchmarks/maps.py overhead     the map against the engine on the same lanes, in one run
     python benchmarks/maps.py workers      two workers of a LocalCluster against one
     python benchmarks/maps.py memory       peak memory of 1e5 and of 1e6 lanes
+    python benchmarks/maps.py jumps        what it costs to ask for jumps too
 
 Every figure is printed and kept in `maps.json`. Compilation is left out: each is run once before.
 """
@@ -67,6 +68,21 @@ def overhead() -> dict[str, Any]:
     found = {"lanes": lanes, "points": lanes * 2 * len(RATIOS)}
     found |= {"engine_seconds": bare, "map_seconds": whole}
     return found | {"share_of_engine_rate": min(bare) / min(whole)}
+
+
+def jumps() -> dict[str, Any]:
+    """Maps of peaks alone and of peaks and jumps, in turn, three times each."""
+    axes: dict[str, Any] = {n: AXES[n] for n in ("gap", "stiffness")}
+    asked = {"peaks": ["peak_amplitude_ratio"], "jumps": ["peak_amplitude_ratio", "jump_up"]}
+    seconds: dict[str, list[float]] = {name: [] for name in asked}
+    for _ in range(4):
+        for name, measures in asked.items():
+            started = time.perf_counter()
+            vj.parameter_map(
+                vj.default_rig, frequency_ratio=np.linspace(0.9, 1.3, 41), measures=measures, **axes
+            )
+            seconds[name].append(time.perf_counter() - started)
+    return {"lanes": 128, "points": 128 * 2 * 41} | {n: s[1:] for n, s in seconds.items()}
 
 
 def workers() -> dict[str, Any]:
@@ -147,7 +163,7 @@ def main() -> None:
     if what == "peak":
         print(json.dumps(peak(int(sys.argv[2]))))
         return
-    kinds = {"overhead": overhead, "workers": workers, "memory": memory}
+    kinds = {"overhead": overhead, "workers": workers, "memory": memory, "jumps": jumps}
     if what not in kinds:
         sys.exit(str(__doc__))
     found = kinds[what]()

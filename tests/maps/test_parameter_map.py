@@ -9,6 +9,7 @@ import pytest
 import xarray
 
 import vibrojax as vj
+from vibrojax.sweep import swept_lanes
 
 GRID = np.array([1.02, 1.1, 1.18, 1.5])
 GAPS, TAPERS = [3e-4, 4e-4, 6e-4], [0.0, 0.5]
@@ -58,6 +59,22 @@ def test_every_lane_is_what_a_single_call_gives(crossed):
             assert float(lane.hysteresis_width) == pytest.approx(one.hysteresis_width)
             assert float(lane.largest_contact_force) == np.nanmax(lane.contact_force)
     assert float(crossed.jump_down.sel(taper=0.5, gap=4e-4)) > 1.1
+
+
+def test_jumps_are_looked_for_where_a_measure_may_read_them(crossed, monkeypatch):
+    looked, refine = [], swept_lanes.refine
+    monkeypatch.setattr(swept_lanes, "refine", lambda *a: (looked.append(a), refine(*a)))
+    settings = {"frequency_ratio": GRID, "taper": TAPERS, "gap": GAPS, "response": SWEEP}
+    found = vj.parameter_map(
+        rig, measures=["peak_amplitude_ratio", "hysteresis_area"], keep_curves=True, **settings
+    )
+    assert not looked
+    assert_same(found, crossed)
+    for measure in ("jump_up", {"own": lambda curve: curve["jump_up"]}):
+        found = vj.parameter_map(rig, measures=measure, **settings)
+        np.testing.assert_allclose(found[next(iter(found))], crossed.jump_up, rtol=1e-7)
+        assert looked
+        looked.clear()
 
 
 def test_chunks_and_order_of_axes_change_nothing(crossed, tmp_path):

@@ -114,6 +114,10 @@ class AbstractMapResponse(eqx.Module):
         for what does not go together.
         """
 
+    def without_jumps(self) -> "AbstractMapResponse":
+        """Return what computes the same, but for jumps that nobody reads."""
+        return self
+
     @abstractmethod
     def compute(self, maker: RigMaker, index: tuple[np.ndarray, ...], grid: Grid) -> Computed:
         """Answer all lanes of a block.

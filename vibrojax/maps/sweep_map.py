@@ -1,5 +1,7 @@
 """Sweeps as the response of a map: every lane followed along the frequency."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool
 
@@ -33,6 +35,10 @@ class SweepMap(AbstractMapResponse):
     def check(self, sample: AbstractSystem, grid: Grid) -> None:
         """Refuse what `frequency_sweep` refuses."""
         self.settings.plan(sample, grid.axis, grid.values)
+
+    def without_jumps(self) -> "SweepMap":
+        """Return the same without a search for where the responses jump."""
+        return SweepMap(replace(self.settings, refine_jumps=None))
 
     def march_stepper(self, sample: AbstractSystem, grid: Grid) -> AbstractStepper:
         """Return that of the sweep."""

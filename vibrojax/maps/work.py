@@ -41,6 +41,11 @@ class MapSpec(NamedTuple):
     identity: str = ""
     """Stands for all of this in the records of its chunks."""
 
+    @property
+    def reads_folds(self) -> bool:
+        """Whether a measure may be read off jumps or folds; each of the user's may."""
+        return any(not m.own or m.name in AT_FOLDS for m in self.measures)
+
     def where(self, number: int) -> str:
         """Say where a block lies along the axes."""
         return ", ".join(
@@ -64,7 +69,8 @@ class MapWork:
         """Return a block and the values of all variables in it."""
         spec = self.spec
         block = spec.chunks.at(number)
-        computed = spec.response.compute(self.maker, block.indices, spec.grid)
+        response = spec.response if spec.reads_folds else spec.response.without_jumps()
+        computed = response.compute(self.maker, block.indices, spec.grid)
         values = self._values(block, computed)
         inside = block.inside
         found = {}
@@ -116,7 +122,7 @@ class MapWork:
         rigs = differentiate(self.maker, block.indices, names, stepper)
         at_points = curve_slopes(rigs, spec.grid, computed)
         at_folds: Slopes = {name: {} for name in names}
-        if any(not m.own or m.name in AT_FOLDS for m in spec.measures):  # long to compile
+        if spec.reads_folds:  # long to compile
             at_folds = fold_slopes(rigs, spec.grid, computed)
         slopes: Slopes = {}
         for name in names:

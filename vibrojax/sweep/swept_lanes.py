@@ -66,7 +66,7 @@ def compile_ahead(plan: SweepPlan, prepared: Prepared) -> None:
     lanes = prepared.first_frequency.shape[0] * len(plan.directions)
     follow = plan.settle == "follow"
     pool_programs.compile_ahead(prepared.march, lanes, plan.max_period, follow)
-    if follow and plan.refine_jumps is not None:
+    if follow and plan.refine_jumps is not None and len(plan.grid) > 1:
         compile_fold_ahead(prepared.march, lanes)
         compile_touch_ahead(prepared.march, lanes)
 
