@@ -45,6 +45,19 @@ def test_fold_curves_refuse():
         vj.fold_curves(
             vj.default_rig, frequency_ratio=vj.Range(0.9, 1.3), gap=vj.Range(3e-4, 5e-4, 1e-3)
         )
+    with pytest.raises(ValueError, match="frequency_ratio must be above 0"):
+        vj.fold_curves(
+            vj.default_rig, frequency_ratio=vj.Range(-0.5, 1.3), gap=vj.Range(3e-4, 5e-4)
+        )
+
+    def soft(gap):
+        base, law = vj.default_rig(num_modes=1), vj.KelvinVoigt(5500.0, 5e-5)
+        return vj.ImpactingBeam(
+            base.beam, vj.Stop(0.5, gap, law, smoothing=1e-5), base.drive, 0.018
+        )
+
+    with pytest.raises(ValueError, match="fold_curves needs linear stops"):
+        vj.fold_curves(soft, frequency_ratio=vj.Range(0.9, 1.3), gap=vj.Range(3e-4, 5e-4))
 
 
 def function_of(near):

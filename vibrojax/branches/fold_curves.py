@@ -13,7 +13,7 @@ from vibrojax._tools.signatures import validated
 from vibrojax.branches.along import along_of
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continue_response import continue_response
-from vibrojax.branches.folds import Fold, compile_fold_ahead, fold_response
+from vibrojax.branches.folds import Fold, check_linear_stops, compile_fold_ahead, fold_response
 from vibrojax.branches.points import TURNS, SpecialPoint
 from vibrojax.branches.resampling import polynomial_weights
 from vibrojax.ensemble.ranges import Range
@@ -182,6 +182,8 @@ def fold_curves(
         return system(**fixed, **{along.name: value})
 
     tracer = _Tracer(make, axis, swept, along.range, max_points)
+    check_linear_stops("fold_curves", along.sample)
+    along_of(along.sample, frequency_ratio, frequency, {})  # refuses a range that cannot be
     compile_fold_ahead(as_arrays(along.sample), is_ratio)
     branch = tracer.branch(begin)
     curves = []

@@ -75,8 +75,7 @@ def fold_response(system: AbstractSystem, near: SpecialPoint | Fold, *, axis: st
     """
     if axis not in ("frequency_ratio", "frequency"):
         raise ValueError(f"axis must be 'frequency_ratio' or 'frequency', got {axis!r}.")
-    if not is_exact(system):
-        raise ValueError("fold_response needs linear stops without smoothing (KelvinVoigt).")
+    check_linear_stops("fold_response", system)
     if isinstance(near, SpecialPoint) and (near.kind != "fold" or near.initial_state is None):
         raise ValueError(f"near must be a fold with contact, got {near!r}.")
     state = frozen(jnp.asarray(near.initial_state, float))
@@ -91,6 +90,12 @@ def fold_response(system: AbstractSystem, near: SpecialPoint | Fold, *, axis: st
             _read.ahead(path, *found)
     found = _search(exact_path(still, is_ratio), state, value)
     return with_columns(_fold, arrays, *found, is_ratio)
+
+
+def check_linear_stops(study: str, system: AbstractSystem) -> None:
+    """Raise `ValueError` where a study solves for folds and the system's motions are not exact."""
+    if not is_exact(system):
+        raise ValueError(f"{study} needs linear stops without smoothing (KelvinVoigt).")
 
 
 def compile_fold_ahead(system: AbstractSystem, is_ratio: bool) -> tuple[Any, Any]:
