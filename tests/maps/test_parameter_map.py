@@ -176,17 +176,15 @@ def test_texts_and_structure_as_axes():
         measures="peak_amplitude_ratio",
     )
     assert found.peak_amplitude_ratio.dims == ("gap", "formulation", "num_modes")
-    for kind in ("consistent", "as_printed"):
-        for count in (1, 2):
-            one = vj.frequency_sweep(
-                rig(gap=GAPS[1], formulation=kind, num_modes=count),
-                frequency_ratio=[1.1],
-                settings=vj.SweepSettings(direction="forward"),
-            )
-            lane = found.sel(formulation=kind, num_modes=count).isel(gap=1)
-            assert float(lane.peak_amplitude_ratio) == pytest.approx(
-                one.peak_amplitude_ratio, rel=1e-6
-            )
+    assert len(np.unique(found.peak_amplitude_ratio.isel(gap=1))) == 4
+    for kind, count in (("consistent", 1), ("as_printed", 2)):
+        one = vj.frequency_sweep(
+            rig(gap=GAPS[1], formulation=kind, num_modes=count),
+            frequency_ratio=[1.1],
+            settings=vj.SweepSettings(direction="forward"),
+        )
+        lane = found.sel(formulation=kind, num_modes=count).isel(gap=1)
+        assert float(lane.peak_amplitude_ratio) == pytest.approx(one.peak_amplitude_ratio, rel=1e-6)
 
 
 def test_a_lane_that_is_no_rig_is_flagged_and_leaves_its_neighbours(crossed):

@@ -1,5 +1,6 @@
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import vibrojax as vj
 from vibrojax.model.laws import AbstractContactLaw, KelvinVoigt
 from vibrojax.model.stops import DEFAULT_SMOOTHING, Stop, smooth_ramp, smooth_switch
 
@@ -160,3 +162,21 @@ def test_a_law_of_ones_own():
 def test_bad_input_is_one_clear_sentence(make, sentence):
     with pytest.raises(ValueError, match=f"^{sentence}"):
         make()
+
+
+def test_equations_take_one_stop_or_several():
+    def equations(stops):
+        one, table = jnp.ones(1), jnp.ones((1, 1))
+        return vj.model.LinearEquations(
+            stops=stops,
+            angular_frequency=one,
+            damping_ratio=0.05 * one,
+            input_map=one,
+            stop_map=table,
+            force_map=table,
+            response_map=one,
+            modal_mass=one,
+        )
+
+    stop = vj.Stop(None, 1e-3, vj.KelvinVoigt(50.0))
+    assert eqx.tree_equal(equations(stop), equations([stop]), equations((stop,)))

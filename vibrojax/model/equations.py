@@ -21,7 +21,7 @@ from vibrojax.model.stop_forces import (
     memory_rates,
     stop_forces,
 )
-from vibrojax.model.stops import Stop
+from vibrojax.model.stops import Stop, as_stops
 
 Coordinates = Float[Array, " coordinates"]
 OwnMemories = Float[Array, " memories"]
@@ -181,9 +181,9 @@ class AbstractGauge(eqx.Module):
         """Return values by name, in SI units."""
 
 
-def _anywhere(stops: tuple[Stop, ...]) -> tuple[Stop, ...]:
+def _anywhere(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:
     """Without place and side, so that programs are the same wherever stops are."""
-    return tuple(replace(stop, position=None, side=1) for stop in stops)
+    return tuple(replace(stop, position=None, side=1) for stop in as_stops(stops))
 
 
 class LinearEquations(AbstractEquations):

@@ -21,8 +21,8 @@ from vibrojax.model.equations import LinearEquations
 from vibrojax.model.modes import FORMULATIONS, Modes, modes
 from vibrojax.model.residual_shapes import CorrectedModes, corrected_modes
 from vibrojax.model.states import Displacement, beam_coordinates
-from vibrojax.model.stops import Stop
-from vibrojax.model.systems import AbstractSystem, as_stops
+from vibrojax.model.stops import Stop, as_stops
+from vibrojax.model.systems import AbstractSystem
 
 
 @validated

@@ -16,8 +16,8 @@ from vibrojax.model.drives import AbstractDrive, BaseMotion, NoDrive, PointForce
 from vibrojax.model.equations import AbstractGauge, LinearEquations
 from vibrojax.model.internal_states import InternalStates, no_states
 from vibrojax.model.states import Displacement
-from vibrojax.model.stops import Stop
-from vibrojax.model.systems import AbstractSystem, as_stops, check_stops_and_drive
+from vibrojax.model.stops import Stop, as_stops
+from vibrojax.model.systems import AbstractSystem, check_stops_and_drive
 
 Matrix = ArrayLike | Sequence[Any]
 

@@ -26,10 +26,9 @@ from vibrojax.model.matrix_checks import (
 from vibrojax.model.residual_shapes import residual_modes
 from vibrojax.model.states import Displacement, check_coordinates
 from vibrojax.model.stop_forces import contact_slope
-from vibrojax.model.stops import Stop
+from vibrojax.model.stops import Stop, as_stops
 from vibrojax.model.systems import (
     AbstractSystem,
-    as_stops,
     check_stops_and_drive,
     check_without_places,
 )

@@ -18,8 +18,8 @@ from vibrojax.model.drives import AbstractDrive, NoDrive, PointForce
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.states import Displacement, check_coordinates
 from vibrojax.model.stop_forces import contact_slope
-from vibrojax.model.stops import Stop
-from vibrojax.model.systems import AbstractSystem, as_stops, check_without_places
+from vibrojax.model.stops import Stop, as_stops
+from vibrojax.model.systems import AbstractSystem, check_without_places
 
 Number = float | Float[Array, "..."]
 

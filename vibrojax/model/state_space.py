@@ -19,8 +19,8 @@ from vibrojax.model.equations import LinearEquations
 from vibrojax.model.internal_states import InternalStates
 from vibrojax.model.matrix_checks import check_array
 from vibrojax.model.states import Displacement, check_coordinates
-from vibrojax.model.stops import Stop
-from vibrojax.model.systems import AbstractSystem, as_stops, check_stops_and_drive
+from vibrojax.model.stops import Stop, as_stops
+from vibrojax.model.systems import AbstractSystem, check_stops_and_drive
 
 Matrix = ArrayLike | Sequence[Any]
 SAME = 1e-9

@@ -1,5 +1,7 @@
 """Stops: where they are, when they are touched, and the rounded corner of their force."""
 
+from collections.abc import Iterable
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
@@ -149,3 +151,14 @@ class Stop(eqx.Module):
 
     def __repr__(self) -> str:
         return described(self)
+
+
+def as_stops(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:
+    """Return one stop or several as a tuple. Raises `ValueError` for what is neither."""
+    if isinstance(stops, Stop):
+        return (stops,)
+    if not isinstance(stops, Iterable):
+        raise ValueError(
+            f"stops must be a Stop or a list of them, got {stops!r}. Leave it out for none."
+        )
+    return tuple(stops)

@@ -6,7 +6,7 @@ stale.
 
 import dataclasses
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -168,17 +168,6 @@ def with_changed_stops(system: SystemType, change: Callable[[Stop], Stop]) -> Sy
 
 def _is_stop(node: Any) -> bool:
     return isinstance(node, Stop)
-
-
-def as_stops(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:
-    """Return one stop or several as a tuple. Raises `ValueError` for what is neither."""
-    if isinstance(stops, Stop):
-        return (stops,)
-    if not isinstance(stops, Iterable):
-        raise ValueError(
-            f"stops must be a Stop or a list of them, got {stops!r}. Leave it out for none."
-        )
-    return tuple(stops)
 
 
 def check_is_system(system: Any) -> None:
