@@ -67,7 +67,7 @@ def fold_response(system: AbstractSystem, near: SpecialPoint | Fold, *, axis: st
 
     Parameters:
         system: a system with linear stops (KelvinVoigt without smoothing).
-        near: a fold of `Branch.special_points`, or of this function.
+        near: a fold of the `special_points` of a `Branch` of period 1, or of this function.
         axis: unit of the frequency, `frequency_ratio` or `frequency` (Hz), as of the branch.
 
     Raises `ValueError` for a system whose stops are not linear, another axis, or a special point
