@@ -126,7 +126,7 @@ def gradient() -> Callable[[], Any]:
     return lambda: jax.grad(amplitude)(4e-4)
 
 
-def parameter_map() -> Callable[[], Any]:
+def parameter_map(response: str = "sweep") -> Callable[[], Any]:
     import numpy as np
 
     import vibrojax as vj
@@ -135,20 +135,7 @@ def parameter_map() -> Callable[[], Any]:
         vj.default_rig,
         frequency_ratio=np.linspace(0.9, 1.3, 24),
         gap=np.linspace(0.2e-3, 0.8e-3, 8),
-        progress=False,
-    )
-
-
-def periodic_map() -> Callable[[], Any]:
-    import numpy as np
-
-    import vibrojax as vj
-
-    return lambda: vj.parameter_map(
-        vj.default_rig,
-        frequency_ratio=np.linspace(0.9, 1.3, 24),
-        gap=np.linspace(0.2e-3, 0.8e-3, 8),
-        response="periodic",
+        response=response,
         progress=False,
     )
 
@@ -182,7 +169,7 @@ JOBS: dict[str, Callable[[], Callable[[], Any]] | None] = {
     "periodic": periodic,
     "gradient": gradient,
     "map": parameter_map,
-    "periodic_map": periodic_map,
+    "periodic_map": lambda: parameter_map("periodic"),
     "folds": folds,
     "explorer": explorer,
 }

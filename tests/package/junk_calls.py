@@ -39,7 +39,7 @@ ENGINES = {
     "vibrojax.regime.bifurcation": ["carried_points"],
     "vibrojax.regime.regimes": ["regime_points"],
     "vibrojax.branches.continue_response": ["follow_branches", "follow_from"],
-    "vibrojax.branches.fold_curves": ["compile_fold_ahead"],
+    "vibrojax.branches.fold_curves": ["compile_search"],
     "vibrojax.steady.single_contact_response": ["evaluate", "_touches"],
     "vibrojax.identification.identify._Fits": ["run"],
     "vibrojax.maps.parameter_map": ["_run", "plan_of"],

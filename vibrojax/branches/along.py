@@ -96,7 +96,8 @@ def frequency_paths(systems: AbstractSystem, is_ratio: bool, exact: bool) -> Abs
     return jax.vmap(lambda s: frequency_path(s, is_ratio, exact))(systems)
 
 
-def _frequency(ratio: Any, frequency: Any) -> tuple[str, Any]:
+def frequency_of(ratio: Any, frequency: Any) -> tuple[str, Any]:
+    """Return the name and the value of the one that is given. Raises `ValueError` for no other."""
     if (ratio is None) == (frequency is None):
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
     name, value = ("frequency_ratio", ratio) if ratio is not None else ("frequency", frequency)
@@ -118,7 +119,7 @@ def along_of(
     groups: tuple[Any, ...] = (),
 ) -> Along:
     """Sort the numbers of a call. Raises `ValueError` as `continue_response` says."""
-    name, value = _frequency(frequency_ratio, frequency)
+    name, value = frequency_of(frequency_ratio, frequency)
     follows_frequency = isinstance(value, Range)
     ranges = {n: v for n, v in numbers.items() if isinstance(v, Range)}
     if follows_frequency == bool(ranges) or len(ranges) > 1:

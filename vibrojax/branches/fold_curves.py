@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from vibrojax._tools.checks import check_count
 from vibrojax._tools.signatures import validated
-from vibrojax.branches.along import along_of
+from vibrojax.branches.along import along_of, frequency_of
 from vibrojax.branches.branch import Branch
 from vibrojax.branches.continue_response import continue_response
-from vibrojax.branches.folds import Fold, check_linear_stops, compile_fold_ahead, fold_response
+from vibrojax.branches.folds import Fold, check_linear_stops, compile_search, fold_response
 from vibrojax.branches.points import TURNS, SpecialPoint
 from vibrojax.branches.resampling import polynomial_weights
 from vibrojax.ensemble.ranges import Range
@@ -161,11 +161,7 @@ def fold_curves(
             "fold_curves needs a function that makes the system from named numbers, got "
             f"{type(system).__name__}."
         )
-    if (frequency_ratio is None) == (frequency is None):
-        raise ValueError("Give frequency_ratio or frequency, one of the two.")
-    axis = "frequency_ratio" if frequency_ratio is not None else "frequency"
-    swept = frequency_ratio if frequency_ratio is not None else frequency
-    assert swept is not None  # one of the two
+    axis, swept = frequency_of(frequency_ratio, frequency)
     middle, is_ratio = (swept.low + swept.high) / 2, axis == "frequency_ratio"
     along = along_of(system, middle if is_ratio else None, None if is_ratio else middle, numbers)
     if along.axes:
@@ -183,8 +179,7 @@ def fold_curves(
 
     tracer = _Tracer(make, axis, swept, along.range, max_points)
     check_linear_stops("fold_curves", along.sample)
-    along_of(along.sample, frequency_ratio, frequency, {})  # refuses a range that cannot be
-    compile_fold_ahead(as_arrays(along.sample), is_ratio)
+    compile_search(as_arrays(along.sample), is_ratio)
     branch = tracer.branch(begin)
     curves = []
     for point in branch.special_points:

@@ -83,7 +83,7 @@ def fold_response(system: AbstractSystem, near: SpecialPoint | Fold, *, axis: st
     arrays, is_ratio = as_arrays(system), axis == "frequency_ratio"
     still = frozen(arrays)
     if is_alone(sorted_out((still, state, value))[0]):
-        path, found = compile_fold_ahead(still, is_ratio)
+        path, found = compile_search(still, is_ratio)
         if any(is_traced(a) for a in jax.tree.leaves(arrays)):  # to be differentiated
             compile_columns_ahead(_fold, arrays, *found, is_ratio)
         else:
@@ -98,7 +98,7 @@ def check_linear_stops(study: str, system: AbstractSystem) -> None:
         raise ValueError(f"{study} needs linear stops without smoothing (KelvinVoigt).")
 
 
-def compile_fold_ahead(system: AbstractSystem, is_ratio: bool) -> tuple[Any, Any]:
+def compile_search(system: AbstractSystem, is_ratio: bool) -> tuple[Any, Any]:
     """Compile the search for folds in the background; shapes of the path and of what is found."""
     path = exact_path.ahead(system, is_ratio)
     return path, _search.ahead(path, np.zeros(path.phases.weight.shape), np.zeros(()))
@@ -172,13 +172,11 @@ def _search(path: FrequencyPath, state, value) -> Any:
     events, (start, times), _ = sampled_guess(path, value, state, 1)
     size = jnp.linalg.norm(start * path.phases.weight) / path.phases.weight
     unknown = jnp.append(start / size, value)
-    blank = jnp.zeros((2, start.size))
-    frame = _Frame(events, size, blank)
 
     # Bordered by the singular vectors of the first matrix, the measure is well scaled.
     first = follow_events(path.tables(value), events, Orbit(start, times), 1, with_jacobian=True)
     left, _, right = jnp.linalg.svd(_still(first, size))
-    frame = frame._replace(border=jnp.stack([left[:, -1], right[-1]]))
+    frame = _Frame(events, size, jnp.stack([left[:, -1], right[-1]]))
 
     def newton(carry):
         unknown, times, _, _, rounds = carry

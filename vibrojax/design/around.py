@@ -129,12 +129,15 @@ class _Curve:
             motion.state_along / self.size, motion.parameter_along / motion.scale
         )
 
-    def follow(self, path: FrequencyPath, unknown: Array, times: Array) -> tuple[Tables, Any]:
+    def follow(
+        self, path: FrequencyPath, unknown: Array, times: Array, *, with_jacobian: bool = False
+    ) -> tuple[Tables, Any]:
         assert path.phases is not None  # of linear stops
         w = unknown[-1] * self.motion.scale * path.unit
         tables = tables_of(path.phases, path.drive, w, resonant=False)
         events, orbit = self.motion.events, Orbit(unknown[:-1] / self.unit, times)
-        return tables, follow_events(tables, events, orbit, self.period)
+        motion = follow_events(tables, events, orbit, self.period, with_jacobian=with_jacobian)
+        return tables, motion
 
     def held_matrix(self) -> Array:
         """Of Newton's method, at the motion that is known."""
@@ -328,18 +331,12 @@ def multipliers_around(
 
     def one(curve: _Curve, matrix: Array, count: int, left: Array, right: Array) -> Any:
         def logarithm(place: Array, numbers: Array) -> Array:
-            there = curve.at(place, numbers, matrix, 2)
-
-            def end(way: Array) -> Array:
-                start = there.unknown.at[:-1].add(way)
-                # Times that are right to second order, as rates at the events are held.
-                times = curve.follow(there.path, start, there.motion.times)[1].times
-                return curve.follow(there.path, start, times)[1].end * curve.unit
-
-            # Its product with the vectors is all of the Jacobian that counts.
-            zero = jnp.zeros(len(there.unknown) - 1)
-            real, imaginary = (jax.jvp(end, (zero,), (w,))[1] for w in (right.real, right.imag))
-            return jnp.log(jnp.sum(jnp.conj(left) * (real + 1j * imaginary))).real
+            there = curve.at(place, numbers, matrix, 1)
+            given = there.path, there.unknown, there.motion.times
+            jacobian = curve.follow(*given, with_jacobian=True)[1].jacobian
+            # Its product with the vectors is all of it that counts.
+            turned = (curve.unit[:, None] * jacobian / curve.unit) @ right
+            return jnp.log(jnp.sum(jnp.conj(left) * turned)).real
 
         _, slopes = _with_slopes(logarithm, count)
         return MultiplierSlopes(slopes[0], slopes[1:])
