@@ -8,7 +8,7 @@ import pytest
 from rod import rod
 
 import vibrojax as vj
-from vibrojax.branches import contacts, walking
+from vibrojax.branches import contacts, side_by_side, walking
 from vibrojax.branches.comparing import COMPARED
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import OnCurve, Seen
@@ -51,6 +51,29 @@ def test_points_keep_to_the_equations(small_rods):
     assert branch.residual.max() < 1e-9
     assert branch.contacts_per_period.max() > 1
     assert len(branch.contact_changes) > 0
+
+
+@pytest.mark.slow
+def test_points_are_the_same_however_many_are_solved_for_in_one_call(monkeypatch):
+    """One by one in a wide program, or a stride of them as one lane alone takes."""
+    calls, solved = [], side_by_side._solved
+
+    def counted(rigs, lanes, scales, asks):
+        calls.append(asks)
+        return solved(rigs, lanes, scales, asks)
+
+    monkeypatch.setattr(side_by_side, "_solved", counted)
+    system, over = rod(4.0, 1), vj.Range(60000 / TURN, 110000 / TURN)
+    settings = vj.ContinuationSettings(longest_step=0.02)
+    strides = vj.continue_response(system, frequency=over, settings=settings)
+    number = len(calls)
+    assert number < len(strides.values) / 2
+    monkeypatch.setattr(side_by_side, "FEW", 0)
+    steps = vj.continue_response(system, frequency=over, settings=settings)
+    assert len(calls) - number > len(steps.values)
+    np.testing.assert_allclose(strides.values, steps.values, rtol=1e-10)
+    np.testing.assert_allclose(strides.peak_ratio, steps.peak_ratio, rtol=1e-9)
+    assert len(strides.folds) == len(steps.folds) == 2
 
 
 @pytest.mark.slow

@@ -36,6 +36,11 @@ class Pair(NamedTuple):
         """Drive phase between the two."""
         return (self.times[0] + self.times[1]) / 2
 
+    @property
+    def length(self) -> float:
+        """Drive angle, rad, from the one to the other."""
+        return self.times[1] - self.times[0]
+
 
 Times = Float[np.ndarray, " events"]
 MetTimes = Float[np.ndarray, " met_events"]

@@ -16,11 +16,10 @@ from vibrojax.branches.contacts import (
     without,
 )
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, at_value
+from vibrojax.steady.curve_programs import ACCURATE
 
 FREE = Contacts((), 0, 0.0)
 
-ACCURATE = 1e-9
-"""Largest last correction of a motion that counts as solved for."""
 COLLAPSED = 0.1
 """Share of its duration below which a pair is taken to have vanished."""
 BOUNCED = 1.5
@@ -87,9 +86,14 @@ class CurveSearch:
 
     def solve(self, ask: Ask) -> Steps:
         """Solve for a motion; None where there is none."""
-        self.asked += 1
+        (found, *_) = yield from self.every(ask)
+        return found
+
+    def every(self, ask: Ask) -> Steps:
+        """Solve for a motion and those of its stride; None for the last where there is none."""
         found = yield ask
-        return found if found.error <= ACCURATE else None
+        self.asked += len(found)
+        return [motion if motion.error <= ACCURATE else None for motion in found]
 
     def near(
         self, state: Float[np.ndarray, " states"], value: float, section: float = 0.0
@@ -110,7 +114,7 @@ class CurveSearch:
             section = best_section(contacts, times, self.whole)
             contacts, times, state, _ = yield from self.from_phase(met, section)
             guess = replace(met, contacts=contacts, times=times, state=state)
-            found = yield at_value(contacts, times, state, value)
+            (found,) = yield at_value(contacts, times, state, value)
             if not np.isfinite(found.error):
                 return None
             if self.is_sound(found) and found.error <= ACCURATE:
@@ -135,7 +139,7 @@ class CurveSearch:
     def without_shallow(self, motion: OnCurve) -> list[tuple[Contacts, np.ndarray]]:
         """Contacts of a motion without one of those that a march may miss."""
         every = pairs(motion.contacts, motion.times)
-        short = [pair for pair in every if np.ptp(pair.times) < self.brief]
+        short = [pair for pair in every if pair.length < self.brief]
         return [without(motion.contacts, motion.times, [pair]) for pair in short]
 
     def oriented(self, found: OnCurve, last: OnCurve) -> OnCurve:
@@ -238,7 +242,7 @@ class CurveSearch:
         )
         if found is None or not self.is_sound(found):
             return None
-        found = replace(found, family=motion.family, way=motion.way)
+        found = replace(found, family=motion.family, way=motion.way, step=motion.step)
         forward = found.times_along @ by_times + found.parameter_along * by_parameter
         return found if forward >= 0 else found.reversed()
 
@@ -246,4 +250,4 @@ class CurveSearch:
 def _durations(a: OnCurve, b: OnCurve) -> list[tuple[tuple[int, int], float, float]]:
     """Places of the contacts of two motions with the same ones, and how long each lasts in both."""
     both = zip(pairs(a.contacts, a.times), pairs(b.contacts, b.times), strict=True)
-    return [(one.places, np.ptp(one.times), np.ptp(other.times)) for one, other in both]
+    return [(one.places, one.length, other.length) for one, other in both]

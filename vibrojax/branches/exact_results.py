@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import jax
 import numpy as np
 
 from vibrojax.branches.continuation import LONGEST_STEP
@@ -14,7 +13,7 @@ from vibrojax.branches.refining import Special, Stretch
 from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
 from vibrojax.branches.walking import Walk
 from vibrojax.steady.paths import AbstractPath
-from vibrojax.stepping.measures import ratios_of
+from vibrojax.stepping.measures import Measures, ratios_of
 
 
 def columns_of_motions(
@@ -23,7 +22,7 @@ def columns_of_motions(
     """Return the columns of a branch at motions that were looked at; displacements as ratios."""
     values = np.array([m.parameter for m in motions])
     reference, natural = references(paths, np.full(len(values), lane), values)
-    measures = jax.tree.map(lambda *a: np.stack(a), *(s.measures for s in seen))
+    measures = Measures(*np.array([s.measures[:-1] for s in seen]).T)
     return {
         "values": values,
         "floquet_multipliers": np.array([m.multipliers for m in motions]),

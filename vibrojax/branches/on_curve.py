@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from vibrojax.branches.contacts import Contacts
+from vibrojax.steady.orbit_curve import Stride
+from vibrojax.stepping.measures import Measures
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,8 @@ class OnCurve:
     parameter_along: float
     matrix: Float[np.ndarray, "states states"]
     error: float = np.inf
-    rounds: int = 0
+    step: float = 0.0
+    """Arclength to go on with, of a motion that was a step ahead."""
     height_along: float = 0.0
     bend: float = 0.0
     way: float = 0.0
@@ -47,6 +50,10 @@ class OnCurve:
     def multipliers(self) -> Complex[np.ndarray, " states"]:
         """Floquet multipliers."""
         return np.linalg.eigvals(self.matrix) + 0j
+
+    def find_multipliers(self) -> None:
+        """Compute the multipliers, which are kept."""
+        _ = self.multipliers
 
     @cached_property
     def moduli(self) -> Float[np.ndarray, " states"]:
@@ -72,6 +79,8 @@ class Ask(NamedTuple):
     by_height: float = 0.0
     value: float = 0.0
     peak: int = -1
+    stride: Any = Stride(1.0, 0.0, np.inf, -np.inf, np.inf, 1)
+    """How to go on behind it (`orbit_curve.Stride`): there may be several answers."""
 
 
 class Look(NamedTuple):
@@ -91,7 +100,8 @@ class Seen(NamedTuple):
     """Whether there was room for all events."""
     initial_state: Float[np.ndarray, " states"]
     at_section: Float[np.ndarray, " states"]
-    measures: Any
+    measures: Measures
+    """Without events."""
 
 
 class Touch(NamedTuple):

@@ -12,9 +12,11 @@ from vibrojax.branches.contacts import TURN, Contacts
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen
 from vibrojax.steady.contact_times import Events
+from vibrojax.steady.curve_programs import read_on_curve, solve_on_curve
 from vibrojax.steady.lane_table import LaneTable, table_of
-from vibrojax.steady.orbit_curve import ROOM, Condition, Try, read_on_curve, solve_on_curve
+from vibrojax.steady.orbit_curve import ROOM, Condition, Stride, Try
 from vibrojax.steady.paths import AbstractPath, FrequencyPath, LocalPath, OpenedPath, localise
+from vibrojax.stepping.measures import Measures
 
 WIDTH, FEW = 32, 16
 """Motions solved for in one call; up to a few go one by one, which compiles nothing more."""
@@ -34,12 +36,12 @@ class CurveRigs:
         self.table: LaneTable | None = None
         self.programs: dict[tuple[Any, int], Callable[..., Any]] = {}
 
-    def run(self, program: Any, own: LaneTable, tries: LaneTable, *more: np.ndarray) -> Any:
-        """Run a program on rigs and tries; by name and width it is looked up once."""
+    def run(self, program: Any, own: LaneTable, tries: LaneTable, *more: np.ndarray) -> LaneTable:
+        """Start a program on rigs and tries; by name and width it is looked up once."""
         key = program.__name__, len(own.numbers)
         if key not in self.programs:
             self.programs[key] = program.bound(own, tries, *more, self.period)
-        return self.programs[key](own.numbers, tries.numbers, *more).columns()
+        return self.programs[key](own.numbers, tries.numbers, *more)
 
     def at(self, lanes: np.ndarray, parameter: np.ndarray) -> LaneTable:
         """Rigs of lanes near some values, one row each."""
@@ -174,13 +176,14 @@ def _blank(states: int) -> LaneTable:
     whole: Any = np.zeros(1, np.int32)
     events = Events(none.astype(np.int32), whole, zero)
     condition = Condition(state, none, zero, zero, zero)
-    return table_of(Try(events, state, none, zero, state, zero, whole, condition), xp=np)
+    stride = Stride(zero, zero, zero, zero, zero, whole)
+    return table_of(Try(events, state, none, zero, state, zero, whole, condition, stride), xp=np)
 
 
 def _tries(rigs: CurveRigs, scales: np.ndarray, asks: list[Ask]) -> LaneTable:
     whole = TURN * rigs.period
     table = _blank(scales.shape[1] - 1).pick(np.zeros(len(asks), int))
-    tries: Try = table.columns()
+    tries: Any = table.columns()
     tries.events.stop[:], tries.unit[:], tries.scale[:] = -1, scales[:, :-1], scales[:, -1]
     for i, ask in enumerate(asks):
         n, (stops, first, section) = len(ask.times), ask.contacts
@@ -192,6 +195,8 @@ def _tries(rigs: CurveRigs, scales: np.ndarray, asks: list[Ask]) -> LaneTable:
         condition.state[i], condition.times[i, :n] = ask.by_state, ask.by_times
         condition.parameter[i], condition.height[i] = ask.by_parameter, ask.by_height
         condition.value[i] = ask.value
+        for column, number in zip(tries.stride, ask.stride, strict=True):
+            column[i] = number
     return table
 
 
@@ -207,9 +212,9 @@ def _in_parts(rows: int, width: int):
 
 def _solved(
     rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
-) -> list[OnCurve]:
-    """Motions that were asked for; their error says whether they are any."""
-    found: dict[int, OnCurve] = {}
+) -> list[list[OnCurve]]:
+    """Motions that were asked for, and those of their strides; errors say whether they are any."""
+    found: dict[int, list[OnCurve]] = {}
     fit = np.flatnonzero([len(ask.times) <= ROOM for ask in asks])
     for rows, count in _in_parts(len(fit), _width(len(fit))):
         at = fit[rows]
@@ -221,11 +226,11 @@ def _solved(
                 a._replace(state=m.state, times=m.times, parameter=m.parameter)
                 if np.isfinite(m.error)
                 else a
-                for a, m in zip(own, part, strict=True)
+                for a, (m, *_) in zip(own, part, strict=True)
             ]
             part = _solve(rigs, lanes[at], scales[at], again)
         found |= dict(zip(at[:count].tolist(), part, strict=False))
-    return [found[i] if i in found else _nothing(ask) for i, ask in enumerate(asks)]
+    return [found[i] if i in found else [_nothing(ask)] for i, ask in enumerate(asks)]
 
 
 def _nothing(ask: Ask) -> OnCurve:
@@ -237,34 +242,35 @@ def _nothing(ask: Ask) -> OnCurve:
 
 def _solve(
     rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
-) -> list[OnCurve]:
+) -> list[list[OnCurve]]:
     own = rigs.at(lanes, np.array([a.parameter for a in asks]))
-    solved = rigs.run(solve_on_curve, own, _tries(rigs, scales, asks))
+    every: Any = rigs.run(solve_on_curve, own, _tries(rigs, scales, asks)).columns()
     found = []
     for i, ask in enumerate(asks):
-        n = len(ask.times)
-        with np.errstate(over="ignore"):  # of one that has run away
-            size = max(np.linalg.norm(solved.state[i]), 1e-300)
-            far = np.linalg.norm(solved.state_along[i]) / size
-        length = np.hypot(far, solved.parameter_along[i] / scales[i, -1])
-        length = length if np.isfinite(length) and length > 0 else 1.0
-        found.append(
-            OnCurve(
-                contacts=ask.contacts,
-                times=solved.times[i, :n].copy(),
-                state=solved.state[i].copy(),
-                parameter=float(solved.parameter[i]),
-                state_along=solved.state_along[i] / length,
-                times_along=solved.times_along[i, :n] / length,
-                parameter_along=float(solved.parameter_along[i] / length),
-                matrix=solved.matrix[i].copy(),
-                error=float(solved.error[i]),
-                rounds=int(solved.rounds[i]),
-                height_along=float(solved.height_along[i] / length),
-                bend=float(solved.bend[i]),
-            )
-        )
+        rows = range(i, len(every.error), len(asks))
+        count = 1
+        while count < len(rows) and np.isfinite(every.error[rows[count]]):
+            count += 1
+        found.append([_row(every, k, ask) for k in rows[:count]])
     return found
+
+
+def _row(every: Any, k: int, ask: Ask) -> OnCurve:
+    n = len(ask.times)
+    return OnCurve(
+        contacts=ask.contacts,
+        times=every.times[k, :n].copy(),
+        state=every.state[k].copy(),
+        parameter=float(every.parameter[k]),
+        state_along=every.state_along[k].copy(),
+        times_along=every.times_along[k, :n].copy(),
+        parameter_along=float(every.parameter_along[k]),
+        matrix=every.matrix[k].copy(),
+        error=float(every.error[k]),
+        step=float(every.step[k]),
+        height_along=float(every.height_along[k]),
+        bend=float(every.bend[k]),
+    )
 
 
 def _seen(
@@ -282,17 +288,20 @@ def _seen(
         table = rigs.at(lanes[rows], np.array([m.parameter for m in own]))
         tries = _tries(rigs, scales[rows], asks)
         at = np.array([sections[i] for i in rows])
-        read = rigs.run(read_on_curve, table, tries, at)
+        marching = rigs.run(read_on_curve, table, tries, at)
+        for motion in own:
+            motion.find_multipliers()  # which another core does meanwhile
+        read: Any = marching.columns()
         log = read.measures.events
-        for i in range(count):
+        sums = zip(*(column.tolist() for column in read.measures[:-1]), strict=True)
+        for i, measures in zip(range(count), sums, strict=False):
             number = int(log.number[i])
             kept = min(number, ROOM)
             met = Contacts(
-                tuple(int(s) for s in log.stop[i, :kept]),
+                tuple(log.stop[i, :kept].astype(int).tolist()),
                 int(log.first_phase[i]),
                 own[i].contacts.section,
             )
-            measures = jax.tree.map(lambda a, i=i: np.array(a[i]), read.measures)
             found.append(
                 Seen(
                     contacts=met,
@@ -300,7 +309,7 @@ def _seen(
                     fits=number <= ROOM,
                     initial_state=np.array(read.initial_state[i]),
                     at_section=np.array(read.at_section[i]),
-                    measures=measures,
+                    measures=Measures(*measures),
                 )
             )
     return found

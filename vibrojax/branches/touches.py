@@ -121,7 +121,7 @@ def _only_touches(search: CurveSearch, touch: OnCurve, seen: Seen) -> bool:
     if extra is None:
         return False
     kept = without(seen.contacts, seen.times, extra)
-    shallow = all(np.ptp(pair.times) < search.brief for pair in extra)
+    shallow = all(pair.length < search.brief for pair in extra)
     return shallow and same(touch.contacts, touch.times, *kept, search.brief)
 
 
@@ -248,7 +248,7 @@ def by_duration(search: CurveSearch, last: OnCurve, bounds: tuple[float, float])
     every = []
     for pair in pairs(last.contacts, last.times):
         by_times = duration_row(pair.places, len(last.times))
-        every.append((float(by_times @ last.times_along) / np.ptp(pair.times), by_times))
+        every.append((float(by_times @ last.times_along) / pair.length, by_times))
     every.sort(key=lambda each: -abs(each[0]))
     for relative, by_times in every[:FASTEST]:
         lasts = float(by_times @ last.times)

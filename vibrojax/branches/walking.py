@@ -16,15 +16,13 @@ from vibrojax.branches.continuation import LOOP_POINTS, Ending
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch
 from vibrojax.branches.touches import SHARP, Passed, by_duration, closing, touch_between, vanish
+from vibrojax.steady.curve_programs import STRAIGHT
+from vibrojax.steady.orbit_curve import Stride
 
 FIRST, SHORTEST = 0.02, 1e-9
 """Steps, in arclength: change of the state over its size, and of the parameter over its scale."""
-STRAIGHT = 0.85
-"""Least cosine between tangents of neighbouring points."""
 MOST_AHEAD = 16
 """Points that are solved for before they are looked at."""
-GROWTH = (3, 2.5), (4, 1.8), (5, 1.4), (7, 1.0), (np.inf, 0.7)
-"""By what steps grow after so many rounds of Newton's method."""
 MOST_TRIES = 40
 """Tries to pass a touch before the next point has to be found."""
 LEAPS = 1e-5, 1e-4, 1e-3, 1e-2, 4e-2
@@ -127,12 +125,13 @@ class Walk:
         there would be more points than allowed.
         """
         ahead: list[OnCurve] = []
+        rest: list[OnCurve | None] = []
         while len(self.points) + len(ahead) <= self.max_points:
             last = ahead[-1] if ahead else self.points[-1]
-            found, next_step, goal = yield from self.further(last, step)
+            found, goal, rest = yield from self.further(last, step, rest, room - len(ahead))
             if found is not None:
                 ahead.append(found)
-                step = next_step
+                step = found.step
                 if goal is not None or len(ahead) == room:
                     return ahead, step, goal
                 continue
@@ -291,42 +290,52 @@ class Walk:
         """Whether the last point is where the walk began."""
         if len(self.points) <= LOOP_POINTS:
             return False
+        far = (self.points[0].parameter - self.points[-1].parameter) / self.search.scale
+        if abs(far) > 0.75 * self.longest:  # as most are
+            return False
         gone, home = self._apart(-2, -1), np.linalg.norm(self._apart(0, -1))
         near = home < 0.75 * min(np.linalg.norm(gone), self.longest)
         # Who comes by the other way has turned round.
         return bool(near and gone @ self._apart(0, 1) > 0)
 
-    def further(self, last: OnCurve, step: float) -> Steps:
-        """Solve for the next motion: that, the step behind it, and the end of the range met."""
-        ask, goal = self.search.ahead(last, step), None
+    def further(self, last: OnCurve, step: float, rest: list[OnCurve | None], room: int) -> Steps:
+        """Solve for the next motion: that, the end of the range met, and the rest of a stride.
+
+        `rest` are motions behind the last that are solved for already. Where there are none, up to
+        `room` are solved for; what is left of them is worth something only behind the first.
+        """
+        search, goal = self.search, None
+        one = Stride(last.size, step, self.longest, self.low, self.high, 1)
+        ask = search.ahead(last, step)._replace(stride=one)
         if not self.low < ask.parameter < self.high:
             goal = self.high if ask.parameter >= self.high else self.low
-            ask = self.search.pinned(last, goal)
-        found = yield from self.search.solve(ask)
-        if found is not None and not is_ordered(found.contacts, found.times, self.search.whole):
-            found = yield from self.swapped(ask, found)
+            ask, rest, room = search.pinned(last, goal), [], 1
+        if not rest:
+            rest = yield from search.every(ask._replace(stride=one._replace(most=room)))
+        found, *rest = rest
+        if found is not None and not is_ordered(found.contacts, found.times, search.whole):
+            found, rest = (yield from self.swapped(ask, found)), []
         if found is not None and goal is None and not self.low <= found.parameter <= self.high:
             goal = self.high if found.parameter > self.high else self.low
-            found = yield from self.search.solve(self.search.pinned(last, goal))
-        if (
-            found is None
-            or not self.search.is_sound(found)
-            or self.search.collapses(last, found, ahead=True)
-        ):
-            return None, step, None
-        found = self.search.oriented(found, last)
-        cosine = self.search.along(last, found.state_along, found.parameter_along)
+            found, rest = (yield from search.solve(search.pinned(last, goal))), []
+        found = None if found is None else search.oriented(found, last)
+        if found is None or not self.comes_next(found, last, step):
+            return None, None, []
+        cut = yield from search.cut_well(found)
+        return cut, goal, rest if cut is found else []
+
+    def comes_next(self, found: OnCurve, last: OnCurve, step: float) -> bool:
+        """Whether a motion is the one a step behind the last."""
+        search = self.search
+        if not search.is_sound(found) or search.collapses(last, found, ahead=True):
+            return False
+        cosine = search.along(last, found.state_along, found.parameter_along)
         cosine /= np.hypot(
-            np.linalg.norm(found.state_along) / last.size, found.parameter_along / self.search.scale
+            np.linalg.norm(found.state_along) / last.size, found.parameter_along / search.scale
         )
-        gone, long = self.search.apart(last, found), 2.5 * step + 1e-9
-        turns = self.search.turns_round(last, found) or self.turns_twice(last, found, step)
-        if cosine < STRAIGHT or gone > long or turns:
-            return None, step, None
-        growth = next(g for most, g in GROWTH if found.rounds <= most)
-        growth = growth if cosine > 0.97 else min(growth, 1.0)
-        found = yield from self.search.cut_well(found)
-        return found, min(step * growth, self.longest), goal
+        turns = search.turns_round(last, found) or self.turns_twice(last, found, step)
+        near = search.apart(last, found) <= 2.5 * step + 1e-9
+        return bool(cosine >= STRAIGHT and near and not turns)
 
     def swapped(self, ask: Ask, found: OnCurve) -> Steps:
         """Solve again where stops change contact in another order; None for one stop."""

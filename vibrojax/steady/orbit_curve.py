@@ -12,17 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from vibrojax._tools.compiled import compiled
 from vibrojax.steady.contact_times import Events
 from vibrojax.steady.known_contacts import KnownContacts, Passage
-from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.paths import LocalPath
-from vibrojax.stepping import exact_contact
 from vibrojax.stepping.contact_loop import ContactLoop
 from vibrojax.stepping.elementary import pick
 from vibrojax.stepping.forcing import forcing
-from vibrojax.stepping.gauge import Ruler
-from vibrojax.stepping.measures import Measures
 
 lax = jax.lax
 
@@ -35,11 +30,10 @@ SHORTENED = 0.7
 """Most that a phase of contact becomes shorter in a step of it, over its length."""
 FARTHEST = 0.5
 """Longest step of Newton's method, over the size of the motion."""
-MEASURED = 1e-10
-"""Relative error of the integrals that are read."""
 TURN = 2 * np.pi
 
 Lane = Float[Array, "*lanes"]
+Number = Float[ArrayLike, "*lanes"]
 States = Float[Array, "states *lanes"]
 Times = Float[Array, "events *lanes"]
 
@@ -53,6 +47,21 @@ class Condition(NamedTuple):
     height: Lane
     """Factor of the distance of the peak's stop from a change of contact, m."""
     value: Lane
+
+
+class Stride(NamedTuple):
+    """How to go on behind a motion that lies a step along the curve behind another one."""
+
+    size: Number
+    """Size of the state of the one before, as a length."""
+    step: Number
+    """Arclength from there."""
+    longest: Number
+    low: Number
+    """The parameter's range."""
+    high: Number
+    most: Int[ArrayLike, "*lanes"]
+    """How many motions are wanted; more than one only of a program of one lane."""
 
 
 class Try(NamedTuple):
@@ -71,6 +80,7 @@ class Try(NamedTuple):
     peak: Int[Array, "*lanes"]
     """Number of the event at which a stop comes nearest to a change of contact; -1 for none."""
     condition: Condition
+    stride: Stride
 
 
 class Motion(NamedTuple):
@@ -83,7 +93,7 @@ class Motion(NamedTuple):
     """Last correction, relative."""
     rounds: Int[Array, "*lanes"]
     state_along: States
-    """Direction of the curve: change of the state, of the times, of the parameter."""
+    """Change along the curve, per unit of its arclength; the way in which the condition grows."""
     times_along: Times
     parameter_along: Lane
     matrix: Float[Array, "states states *lanes"]
@@ -92,42 +102,39 @@ class Motion(NamedTuple):
     """Along the curve, of what would have to pass zero at the peak, m."""
     bend: Lane
     """Its second derivative by the drive angle, m."""
+    step: Lane
+    """Arclength to go on with."""
 
 
-class Read(NamedTuple):
-    """A motion from drive phase 0."""
-
-    initial_state: States
-    """(q, q') at drive phase 0."""
-    at_section: States
-    """State at another section, times `unit`."""
-    measures: Measures
-
-
-class _Rigs:
+class Rigs:
     """Rigs with the events of their motions, at values of the number followed."""
 
     def __init__(self, path: LocalPath, tries: Try, period: int):
         self.path, self.tries, self.until = path, tries, tries.events.section + TURN * period
 
     def loop(self, parameter: Lane) -> ContactLoop:
+        """The rigs under their drives."""
         return ContactLoop(*self.tables(parameter))
 
     def tables(self, parameter: Lane, start_phase: ArrayLike = 0.0) -> tuple[Any, Any]:
+        """Phases and tables of the drive from a drive phase (rad) on."""
         place, phases = self.path.at(parameter), self.path.phases_at(parameter)
         w = place.angular_frequency
         amplitude = place.drive.complex_amplitude(w, jnp.zeros_like(w))
         return phases, forcing(phases, amplitude, w, jnp.zeros_like(w) + start_phase)
 
     def contacts(self, loop: ContactLoop) -> KnownContacts:
+        """The same with the events."""
         tries = self.tries
         return KnownContacts(loop, tries.events, tries.peak, resonant=self.path.resonant)
 
     def begin(self, at: KnownContacts, state: States) -> Array:
+        """Block coordinates of a state at the section."""
         events, time = self.tries.events, self.tries.events.section / at.frequency
         return at.loop.blocks_of(state / self.tries.unit, events.first_phase, time)
 
     def state(self, at: KnownContacts, blocks: Array, phase: Array, angle: Array) -> Array:
+        """State, times `unit`, of block coordinates at a drive phase (rad)."""
         return self.tries.unit * at.loop.state_of(blocks, phase, angle / at.frequency)
 
     def passed(self, parameter: Lane, state: States, times: Times) -> "_Passed":
@@ -179,7 +186,7 @@ class _Search(NamedTuple):
     going: Bool[Array, " lanes"]
 
 
-def _newton(rigs: _Rigs, search: _Search) -> tuple[_Search, Motion]:
+def _newton(rigs: Rigs, search: _Search) -> tuple[_Search, Motion]:
     """One round of Newton's method; and what is known where it began."""
     tries = rigs.tries
     now = rigs.passed(search.parameter, search.state, search.times)
@@ -253,6 +260,7 @@ def _newton(rigs: _Rigs, search: _Search) -> tuple[_Search, Motion]:
         matrix=now.matrix,
         height_along=jnp.sum(now.height_row * state_along, axis=0) + height_push * parameter_along,
         bend=now.bend,
+        step=jnp.zeros_like(error),
     )
     going = takes & shrinks & (error > ROUND_OFF) & (search.rounds + 1 < ROUNDS)
     return _Search(
@@ -260,34 +268,29 @@ def _newton(rigs: _Rigs, search: _Search) -> tuple[_Search, Motion]:
     ), motion
 
 
-@compiled
-def solve_on_curve(rigs: LaneTable, tries: LaneTable, period: int) -> LaneTable:
-    """Solve for motions of curves, each under a condition of its own; `Motion` of all lanes.
-
-    `rigs` is of `LocalPath`, `tries` of `Try`; motions return after `period` drive periods.
-    """
-    ask: Try = tries.lanes_last()
-    own = _Rigs(rigs.lanes_last(), ask, period)
-    zero = jnp.zeros_like(ask.parameter)
-    first = _Search(
+def nothing_found(ask: Try) -> Motion:
+    """Where Newton's method starts."""
+    n, none = len(ask.state), jnp.zeros_like(ask.parameter)
+    return Motion(
         ask.state,
         ask.times,
         ask.parameter,
-        zero + jnp.inf,
-        jnp.zeros(zero.shape, jnp.int32),
-        zero == 0,
-    )
-    n, none = len(ask.state), 0 * zero
-    matrix = jnp.zeros((n, n, *zero.shape))
-    nothing = Motion(
-        *first[:5],
-        0 * ask.state,
-        0 * ask.times,
-        none,
-        matrix,
+        error=none + jnp.inf,
+        rounds=jnp.zeros(none.shape, jnp.int32),
+        state_along=0 * ask.state,
+        times_along=0 * ask.times,
+        parameter_along=none,
+        matrix=jnp.zeros((n, n, *none.shape)),
         height_along=none,
         bend=none,
+        step=none,
     )
+
+
+def solved(path: LocalPath, ask: Try, period: int) -> Motion:
+    """Newton's method."""
+    own, nothing = Rigs(path, ask, period), nothing_found(ask)
+    first = _Search(*nothing[:5], jnp.ones(nothing.error.shape, bool))
 
     def better(carry: tuple[_Search, Motion]) -> tuple[_Search, Motion]:
         search, before = carry
@@ -295,32 +298,4 @@ def solve_on_curve(rigs: LaneTable, tries: LaneTable, period: int) -> LaneTable:
         keep = lambda new, old: jnp.where(search.going, new, old)  # noqa: E731
         return after, jax.tree.map(keep, motion, before)
 
-    _, motion = lax.while_loop(lambda carry: jnp.any(carry[0].going), better, (first, nothing))
-    return table_of(motion)
-
-
-@compiled
-def read_on_curve(
-    rigs: LaneTable, tries: LaneTable, section: Float[Array, " lanes"], period: int
-) -> LaneTable:
-    """March motions of curves over their period from the section; `Read` of all lanes.
-
-    Also their states at another `section`, a drive phase (rad) after their own.
-    """
-    ask: Try = tries.lanes_last()
-    own = _Rigs(rigs.lanes_last(), ask, period)
-    at = own.contacts(own.loop(ask.parameter))
-    begin = own.begin(at, ask.state)
-
-    def state_at(angle: Array) -> Array:
-        return own.state(at, *at.go_to(begin, ask.times, angle), angle)
-
-    origin = jnp.where(ask.events.section > 0, TURN * period, 0.0)
-    initial = state_at(origin) / ask.unit
-    far = jnp.full_like(ask.parameter, jnp.inf)
-    ruler = Ruler(jnp.full_like(far, MEASURED), far)
-    phases, force = own.tables(ask.parameter, ask.events.section)
-    state = ask.state / ask.unit
-    _, _, measures = exact_contact.march(phases, force, state, period, ruler=ruler, room=ROOM)
-    assert measures is not None
-    return table_of(Read(initial, state_at(section), measures))
+    return lax.while_loop(lambda carry: jnp.any(carry[0].going), better, (first, nothing))[1]
