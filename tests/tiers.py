@@ -119,6 +119,7 @@ SLOW = {
     ),
     "test_identify": (
         "test_a_trial_that_is_near_follows_no_curve",
+        "test_a_point_that_was_predicted_wrongly_is_looked_for_on_the_curve",
         "test_residuals_are_distances_over_the_deviation",
         "test_a_report_and_a_dataset",
         "test_a_curve_without_contact_is_refused",
