@@ -76,6 +76,19 @@ def test_points_are_the_same_however_many_are_solved_for_in_one_call(monkeypatch
     assert len(strides.folds) == len(steps.folds) == 2
 
 
+def test_multipliers_of_what_is_no_motion_stop_no_walk():
+    none = np.zeros(0)
+    lost = OnCurve(
+        contacts.Contacts((), 0, 0.0), none, np.ones(2), 1.0, np.ones(2), none, 0.0, np.eye(2) / 0.5
+    )
+    lost.find_multipliers()
+    assert lost.moduli.tolist() == [2.0, 2.0]
+    lost = dataclasses.replace(lost, matrix=np.full((2, 2), np.nan))
+    lost.find_multipliers()
+    with pytest.raises(np.linalg.LinAlgError):
+        _ = lost.multipliers
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [4.0])
 def test_rod_of_the_peer(ratio):

@@ -1,6 +1,7 @@
 """Motions of a curve as a walk along it knows them: what is asked for, and what was seen."""
 
 from collections.abc import Generator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -52,8 +53,9 @@ class OnCurve:
         return np.linalg.eigvals(self.matrix) + 0j
 
     def find_multipliers(self) -> None:
-        """Compute the multipliers, which are kept."""
-        _ = self.multipliers
+        """Compute the multipliers, which are kept; those of what is no motion may not be found."""
+        with suppress(np.linalg.LinAlgError):
+            _ = self.multipliers
 
     @cached_property
     def moduli(self) -> Float[np.ndarray, " states"]:
@@ -79,7 +81,7 @@ class Ask(NamedTuple):
     by_height: float = 0.0
     value: float = 0.0
     peak: int = -1
-    stride: Any = Stride(1.0, 0.0, np.inf, -np.inf, np.inf, 1)
+    stride: Stride = Stride(1.0, 0.0, np.inf, -np.inf, np.inf, 1)
     """How to go on behind it (`orbit_curve.Stride`): there may be several answers."""
 
 

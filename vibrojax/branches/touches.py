@@ -248,7 +248,7 @@ def by_duration(search: CurveSearch, last: OnCurve, bounds: tuple[float, float])
     every = []
     for pair in pairs(last.contacts, last.times):
         by_times = duration_row(pair.places, len(last.times))
-        every.append((float(by_times @ last.times_along) / pair.length, by_times))
+        every.append((float(by_times @ last.times_along) / max(pair.length, 1e-300), by_times))
     every.sort(key=lambda each: -abs(each[0]))
     for relative, by_times in every[:FASTEST]:
         lasts = float(by_times @ last.times)
