@@ -247,6 +247,23 @@ def test_another_number_of_the_rig(small_branch, along_gap):
         assert here[name].values[0, at] == pytest.approx(there[name].values[0, match], rel=1e-6)
 
 
+@pytest.mark.slow
+def test_points_along_a_number_that_changes_the_modes_are_periodic_responses():
+    """However short the steps: the rig is known to first order only next to where it was made."""
+
+    def make(taper):
+        return vj.default_rig(taper=taper, num_modes=1)
+
+    settings = vj.ContinuationSettings(longest_step=0.02)
+    over = vj.Range(0.1, 0.8)
+    branch = vj.continue_response(make, frequency_ratio=1.02, taper=over, settings=settings)
+    assert len(branch.values) > 20
+    for k in np.flatnonzero(branch.contacts_per_period)[::4]:
+        system, guess = make(float(branch.values[k])), branch.initial_state[k]
+        one = vj.periodic_response(system, frequency_ratio=1.02, guess=guess)
+        assert branch.amplitude_ratio[k] == pytest.approx(float(one.amplitude_ratio), rel=1e-9)
+
+
 def test_one_branch_per_value_of_the_axes(branches, small_branch):
     assert branches.shape == (2, 2)
     assert len(branches) == 4

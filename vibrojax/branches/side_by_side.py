@@ -214,6 +214,8 @@ def _solved(
     rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
 ) -> list[list[OnCurve]]:
     """Motions that were asked for, and those of their strides; errors say whether they are any."""
+    if rigs.moves:  # a rig is known near the first motion of a stride only
+        asks = [ask._replace(stride=ask.stride._replace(most=1)) for ask in asks]
     found: dict[int, list[OnCurve]] = {}
     fit = np.flatnonzero([len(ask.times) <= ROOM for ask in asks])
     for rows, count in _in_parts(len(fit), _width(len(fit))):
