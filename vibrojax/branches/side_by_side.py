@@ -246,18 +246,18 @@ def _solve(
     rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
 ) -> list[list[OnCurve]]:
     own = rigs.at(lanes, np.array([a.parameter for a in asks]))
-    every: Any = rigs.run(solve_on_curve, own, _tries(rigs, scales, asks)).columns()
+    every, steps = rigs.run(solve_on_curve, own, _tries(rigs, scales, asks)).columns()
     found = []
     for i, ask in enumerate(asks):
         rows = range(i, len(every.error), len(asks))
         count = 1
         while count < len(rows) and np.isfinite(every.error[rows[count]]):
             count += 1
-        found.append([_row(every, k, ask) for k in rows[:count]])
+        found.append([_row(every, k, ask, steps[k]) for k in rows[:count]])
     return found
 
 
-def _row(every: Any, k: int, ask: Ask) -> OnCurve:
+def _row(every: Any, k: int, ask: Ask, step: float) -> OnCurve:
     n = len(ask.times)
     return OnCurve(
         contacts=ask.contacts,
@@ -269,7 +269,7 @@ def _row(every: Any, k: int, ask: Ask) -> OnCurve:
         parameter_along=float(every.parameter_along[k]),
         matrix=every.matrix[k].copy(),
         error=float(every.error[k]),
-        step=float(every.step[k]),
+        step=float(step),
         height_along=float(every.height_along[k]),
         bend=float(every.bend[k]),
     )

@@ -81,22 +81,24 @@ def _onwards(ask: Try, found: Motion) -> tuple[Try, Bool[Array, " lanes"]]:
 
 @compiled
 def solve_on_curve(rigs: LaneTable, tries: LaneTable, period: int) -> LaneTable:
-    """Solve for motions of curves, each under a condition of its own: `Motion` of all lanes.
+    """Solve for motions of curves, each under a condition of its own.
 
-    `rigs` is of `LocalPath`, `tries` of `Try`; motions return after `period` drive periods. Of one
-    lane there are `STRIDE` rows, a motion and those that follow, the error infinite without one.
+    Returns `Motion` of all lanes, and the arclength to go on with. Of one lane there are `STRIDE`
+    rows, a motion and those that follow, the error infinite where there is none. `rigs` is of
+    `LocalPath`, `tries` of `Try`; motions return after `period` drive periods.
     """
     path, first = rigs.lanes_last(), tries.lanes_last()
     points = STRIDE if first.parameter.shape == (1,) else 1
-    room = jax.tree.map(lambda a: jnp.broadcast_to(a, (points, *a.shape)), nothing_found(first))
+    nothing = nothing_found(first), first.stride.step
+    room = jax.tree.map(lambda a: jnp.broadcast_to(a, (points, *a.shape)), nothing)
 
-    def further(carry: tuple[Array, Try, Any, Motion]) -> tuple[Array, Try, Any, Motion]:
-        k, ask, _, motions = carry
+    def further(carry: tuple[Array, Try, Any, Any]) -> tuple[Array, Try, Any, Any]:
+        k, ask, _, every = carry
         found = solved(path, ask, period)
         following, good = _onwards(ask, found)
-        found = found._replace(step=following.stride.step)
-        motions = jax.tree.map(lambda all, new: all.at[k].set(new), motions, found)
-        return k + 1, following, good & (k + 1 < ask.stride.most), motions
+        new = found, following.stride.step
+        every = jax.tree.map(lambda all, one: all.at[k].set(one), every, new)
+        return k + 1, following, good & (k + 1 < ask.stride.most), every
 
     carry = jnp.zeros((), jnp.int32), first, jnp.ones(first.parameter.shape, bool), room
     if points > 1:

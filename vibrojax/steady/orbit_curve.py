@@ -102,8 +102,6 @@ class Motion(NamedTuple):
     """Along the curve, of what would have to pass zero at the peak, m."""
     bend: Lane
     """Its second derivative by the drive angle, m."""
-    step: Lane
-    """Arclength to go on with."""
 
 
 class Rigs:
@@ -260,7 +258,6 @@ def _newton(rigs: Rigs, search: _Search) -> tuple[_Search, Motion]:
         matrix=now.matrix,
         height_along=jnp.sum(now.height_row * state_along, axis=0) + height_push * parameter_along,
         bend=now.bend,
-        step=jnp.zeros_like(error),
     )
     going = takes & shrinks & (error > ROUND_OFF) & (search.rounds + 1 < ROUNDS)
     return _Search(
@@ -283,7 +280,6 @@ def nothing_found(ask: Try) -> Motion:
         matrix=jnp.zeros((n, n, *none.shape)),
         height_along=none,
         bend=none,
-        step=none,
     )
 
 
