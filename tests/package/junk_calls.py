@@ -424,13 +424,14 @@ NUMBERS = words(
 FLAGS = words(
     "tension proportional lyapunov strobes is_ratio align_phase settled progress spectrum "
     "distinguish_phases keep_curves dry_run skip_unusable static_correction maximise relative "
-    "stable"
+    "stable isolas together"
 )
 MAKERS = {n for n, (function, _) in CALLS.items() if inspect.isclass(function)}
 MAKERS |= {"default_rig", "default_pendulum", "bimorph"}
 MAKERS |= {n for n in CALLS if "from_restitution" in n}
 SIGNED = words(
-    "barrier release direction gap gravity force moment_per_volt free_modes piezoelectric_constant"
+    "barrier release direction gap gravity force moment_per_volt free_modes piezoelectric_constant "
+    "low high initial_displacement initial_velocity"
 )
 LEGAL = {
     "None": words("position smoothing refine_jumps"),
@@ -441,7 +442,9 @@ LEGAL = {
         "amplitude_deviation contact_force_deviation gap_ratios load frequencies maxwell_stiffness "
         "relaxation_time drive_amplitude"
     ),
-    "empty dict": words("deviation units bounds transforms columns parameters measures share_of"),
+    "empty dict": words(
+        "deviation units bounds transforms columns parameters measures share_of gain offset delay"
+    ),
     "dict": words("parameters share_of"),
     "empty list": words(
         "gradients private split observables notes point_masses stops measures s orders share_of "
@@ -452,20 +455,21 @@ LEGAL = {
         "point_masses stops direction lines measures s orders share_of gap_ratios index constraints"
     ),
     "text": words("label store path"),
-    "empty text": words("label frame quantity"),
+    "empty text": words("label frame quantity drive_signal"),
     "class": words("search measures objective function"),
-    "lambda": words("search stepper objective function"),
+    "lambda": words("search stepper objective function solver"),
     "path": words("store path"),
     "waveform": words("waveform"),
     "matrix": words("s"),
     "tracer": words("frequency frequency_ratio release s"),
     "large integer": words(
         "seed gap stiffness release barrier memory frequency frequency_ratio size longest_step "
-        "lines rigid_within"
+        "lines rigid_within low high initial_displacement initial_velocity start_size mass"
     ),
 }
 """Junk that is none for some arguments, by hand: not from the annotations that are tested."""
 TRACEABLE = words("motion simulate periodic_response lyapunov_exponent Modes.shape")
+TRACEABLE |= {"simulate over lists"}
 OF_METHODS = words(
     "level threshold phase start stop overlap reference prominence values gap position frequency "
     "gap_ratio reach"
@@ -487,6 +491,8 @@ def legal(name, argument, junk):
         return junk in ("0", "-1", "large integer", "tracer", "list of one")
     if name == "design.Constraint" and argument in ("least", "most"):
         return junk in ("0", "-1", "large integer")
+    if name == "compare_laws" and argument == "guess":  # of numbers that are not of the laws
+        return junk == "empty dict"
     if name == "design.Constraint" and argument == "name":
         return junk in ("text", "empty text")
     if name in MAKERS and argument in NUMBERS:

@@ -290,7 +290,8 @@ def test_methods_agree(rig, exactly, name):
     assert float(found.leading_multiplier) == pytest.approx(
         float(exact.leading_multiplier), abs=10 * values
     )
-    np.testing.assert_allclose(derivative, wanted, rtol=slopes)
+    largest = abs(wanted).max(axis=1, keepdims=True)  # by gap the force hardly changes
+    np.testing.assert_allclose(derivative / largest, wanted / largest, atol=slopes, rtol=0)
 
 
 # Stability lost at -1

@@ -87,7 +87,7 @@ class Branch(BranchPoints, AbstractSaved):
         `ValueError` for an unknown variable, or a band along another number or without it.
         """
         if band is not None and (
-            band.attrs.get("axis") != self.axis or f"{variable}_change" not in band
+            getattr(band, "attrs", {}).get("axis") != self.axis or f"{variable}_change" not in band
         ):
             raise ValueError(
                 f"band must be one of vj.design.band along {self.axis} that has {variable}."

@@ -73,8 +73,9 @@ class RigEvaluator(AbstractEvaluator):
         linear = system.equations().linear_between_contacts
         if linear is not None and can_resonate(phases_of(linear)):
             raise ValueError(
-                "Designs need damping in every mode: without, the response has no bound at "
-                "resonance. Give the system a damping_ratio above 0."
+                "Designs need damping of every mode, in contact too (a ratio of 1e-4 or more): "
+                "without, the response has no bound at resonance. Give the system a damping_ratio "
+                "above 0, and stops of large stiffness a damping."
             )
         return system
 

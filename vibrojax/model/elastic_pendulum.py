@@ -17,6 +17,7 @@ from vibrojax._tools.checks import (
     number_field,
 )
 from vibrojax._tools.described import described
+from vibrojax._tools.kinds import is_list
 from vibrojax._tools.signatures import validated
 from vibrojax.model.drives import AbstractDrive, BaseMotion, NoDrive
 from vibrojax.model.laws import AbstractContactLaw, KelvinVoigt
@@ -120,15 +121,16 @@ class ElasticPendulum(AbstractSystem):
         if self.limiters is not None:
             if not isinstance(self.limiters, Limiters):
                 raise ValueError(f"limiters must be Limiters(...) or None, got {self.limiters!r}.")
-            length = concrete(self.length)
-            if length is not None and length.ndim == 0:
+            length, height = concrete(self.length), self.limiters.height
+            if length is not None and (length.ndim == 0 or not is_list(height)):
+                shortest = float(length.min())
                 check_range(
                     "limiters.height",
-                    self.limiters.height,
+                    height,
                     0.0,
-                    float(length),
+                    shortest,
                     include_low=False,
-                    allowed=f"above 0 (hinge) and at most {float(length):g} m (tip)",
+                    allowed=f"above 0 (hinge) and at most {shortest:g} m (tip)",
                     advice="Put the limiters beside the pendulum, or make it longer.",
                 )
         if not isinstance(self.drive, BaseMotion | NoDrive):

@@ -88,6 +88,8 @@ def basins(
     given: Any = frequency_ratio if frequency is None else frequency
     check_seed(seed)
     made = None if start is None else Starts.of(start, axes, starts, 1000, seed)
+    if made is not None and start_size is not None:
+        raise ValueError("start_size is for random states: leave it out beside start.")
     names = [] if made is None else list(made.numbers)
     for name in units or ():
         if name not in names:
@@ -183,7 +185,7 @@ class Starts(NamedTuple):
                 )
         if starts is not None:
             raise ValueError(
-                f"starts = {starts!r} is for random ones: give {' and '.join(names)} as "
+                f"starts = {in_short(starts)} is for random ones: give {' and '.join(names)} as "
                 "vj.Range(low, high), or leave starts out."
             )
         return cls(start, axes, axes, "grid", None, seed)
