@@ -273,7 +273,7 @@ def test_settings_that_cannot_work_are_refused(settings, words):
         vj.LinearlyImplicit(**settings)
 
 
-def test_steps_too_long_for_the_damping_are_refused():
+def test_steps_too_long_for_the_damping_are_refused(monkeypatch):
     run = {"frequency": 5.7, "periods": 1}
     with pytest.raises(ValueError, match=r"longest_step makes steps of 0.002 s, .* at most 0.0004"):
         vj.simulate(PENDULUM, **run, stepper=vj.LinearlyImplicit(longest_step=2e-3))
@@ -286,9 +286,15 @@ def test_steps_too_long_for_the_damping_are_refused():
             settings=vj.SweepSettings(stepper=vj.LinearlyImplicit(longest_step=2e-3)),
         )
     coarse = vj.LinearlyImplicit(steps_per_period=64)
+    # Nothing compiles before.
+    monkeypatch.setattr("vibrojax.sweep.frequency_sweep.compile_ahead", pytest.fail)
+    for given in ({"stepper": coarse}, {"steps_per_period": 64}):
+        with pytest.raises(ValueError, match=r"steps_per_period makes steps"):
+            vj.frequency_sweep(PENDULUM, frequency=[5.0, 6.0], settings=vj.SweepSettings(**given))
+    beam, coarse = vj.default_rig(damping_ratio=0.9), vj.LinearlyImplicit(steps_per_period=4)
     with pytest.raises(ValueError, match=r"steps_per_period makes steps"):
         vj.frequency_sweep(
-            PENDULUM, frequency=[5.0, 6.0], settings=vj.SweepSettings(stepper=coarse)
+            beam, frequency_ratio=[1.0, 1.1], settings=vj.SweepSettings(stepper=coarse)
         )
     with pytest.raises(ValueError, match=r"steps_per_period makes steps"):
         vj.regimes(PENDULUM, frequency=[5.0, 6.0], settings=vj.RegimeSettings(stepper=coarse))

@@ -58,6 +58,12 @@ class AbstractEquations(eqx.Module):
         return None
 
     @property
+    def first_frequency(self) -> Float[Array, ""]:
+        """First natural angular frequency, rad/s; NaN where there is none."""
+        linear = self.linear_between_contacts
+        return jnp.asarray(jnp.nan) if linear is None else linear.angular_frequency[0]
+
+    @property
     def memory_size(self) -> int:
         """How many internal states there are: those of stops (`AbstractMemoryLaw`), and others."""
         return sum(stop.memory_size for stop in self.stops)

@@ -31,10 +31,12 @@ def choose_stepper(
     stepper: AbstractStepper | None,
     tolerance: float,
     steps_per_period: int | None,
+    lowest: tuple[str, float] | None = None,
 ) -> AbstractStepper:
     """Return the stepper asked for, or the one that suits the stops of the system.
 
-    Raises `ValueError` when the stepper asked for is none, or cannot do the stops or the damping.
+    `lowest` is the lowest frequency of a study and its name. Raises `ValueError` when the stepper
+    asked for is none, or cannot do the stops or, there, the damping.
     """
     if stepper is not None and not isinstance(stepper, AbstractStepper):
         raise ValueError(
@@ -48,16 +50,17 @@ def choose_stepper(
             "smoothing, on a system that is linear but for them, without modes that fall away. Use "
             "ExponentialSplitting() or LinearlyImplicit(), or leave the stepper to vibrojax."
         )
-    if isinstance(stepper, LinearlyImplicit):
-        stepper.check_system(system)
-    if stepper is not None:
-        return stepper
-    if exact:
+    if stepper is None and exact:
         return ExactContact(tolerance, steps_per_period)
-    linear = equation_kinds(system).linear_between_contacts
-    modal = linear is not None and linear.is_modal
-    # Modes that are coupled have no exact drift of their own.
-    return (ExponentialSplitting if modal else LinearlyImplicit)(tolerance, steps_per_period)
+    if stepper is None:
+        linear = equation_kinds(system).linear_between_contacts
+        modal = linear is not None and linear.is_modal
+        # Modes that are coupled have no exact drift of their own.
+        suits = ExponentialSplitting if modal else LinearlyImplicit
+        stepper = suits(tolerance, steps_per_period)
+    if isinstance(stepper, LinearlyImplicit):
+        stepper.check_system(system, lowest)
+    return stepper
 
 
 def prepare_motion(system: AbstractSystem, equations: AbstractEquations) -> ContactPhases | None:

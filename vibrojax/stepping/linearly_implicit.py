@@ -113,16 +113,24 @@ class LinearlyImplicit(AbstractStepper):
             return math.ceil(float(period) / self.longest_step - 1e-9)
         return int(chosen_steps(period, fastest, np.asarray(self.tolerance), np))
 
-    def check_system(self, system: AbstractSystem) -> None:
+    def check_system(self, system: AbstractSystem, lowest: tuple[str, float] | None = None) -> None:
         """Refuse, with a `ValueError`, a system that these settings cannot step.
 
-        Raises `ValueError` when a step is too long for the damping of the `system`.
+        `lowest` is the lowest frequency of a study and its name, where that is known. Raises
+        `ValueError` when a step is too long for the damping of the `system`.
         """
-        if self.longest_step is not None:
-            equations = _without_memory(equations_of(as_arrays(system)))
-            fastest = concrete(_fastest_damping(equations))
-            if fastest is not None:
-                self.check_ringing(self.longest_step, float(fastest))
+        count, step = self.steps_per_period, self.longest_step
+        if step is None and (count is None or lowest is None):
+            return
+        equations = _without_memory(equations_of(as_arrays(system)))
+        fastest = concrete(_fastest_damping(equations))
+        if count is not None and lowest is not None:
+            name, value = lowest
+            unit = equations.first_frequency if name == "frequency_ratio" else 2 * jnp.pi
+            angular = concrete(unit * value)
+            step = None if angular is None else 2 * np.pi / float(angular) / count
+        if step is not None and fastest is not None:
+            self.check_ringing(step, float(fastest))
 
     def check_ringing(self, step: float, fastest: float) -> None:
         """Refuse, with a `ValueError`, a `step` (s) too long for the `fastest` damping (1/s)."""

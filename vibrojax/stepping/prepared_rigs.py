@@ -79,7 +79,7 @@ def _own_and_shared(systems: AbstractSystem) -> tuple[AbstractSystem, AbstractSy
 def _prepare(stepper: AbstractStepper, rigs: Rigs) -> Prepared:
     def one(rig: Rigs) -> Prepared:
         reference, _ = rig.drive.reference
-        first = _first_frequency(rig.equations)
+        first = rig.equations.first_frequency
         march = stepper.prepare(rig.equations, rig.drive)
         resonances = unbounded_at(rig.equations, rig.drive)
         return Prepared(march, first, jnp.asarray(reference), resonances)
@@ -94,12 +94,6 @@ def _preparing(rigs: Any) -> Compiled[..., Prepared]:
     """Take what compiles fast for few rigs, and what runs fast for many."""
     count = jax.tree.leaves(eqx.filter(rigs, lambda leaf: hasattr(leaf, "shape")))[0].shape[0]
     return _prepare_many if count >= VERY_MANY else _prepare_few
-
-
-def _first_frequency(equations: AbstractEquations) -> Array:
-    if equations.linear_between_contacts is not None:
-        return equations.linear_between_contacts.angular_frequency[0]
-    return jnp.asarray(jnp.nan)
 
 
 def prepare(stepper: AbstractStepper, rigs: Rigs) -> Prepared:
