@@ -383,6 +383,7 @@ LONG = {
     "test_records": (
         "test_sensors_are_fitted_on_clocks_of_their_own",
         "test_derivatives_in_numbers_of_records",
+        "test_a_force_record_of_a_free_body_gives_the_stop_and_the_velocity",
     ),
     "test_internal_states_fits": (
         "test_histories_of_a_stop_that_relaxes_have_no_misfit_at_the_truth[signal]",
