@@ -153,7 +153,7 @@ def test_rigs_that_have_no_measures_are_refused():
         vj.design.respond(hertz, gap=1e-3, frequency_ratio=RANGE)
     with pytest.raises(ValueError, match="at least one number"):
         vj.design.respond(vj.default_rig, num_modes=1, frequency_ratio=RANGE)
-    with pytest.raises(ValueError, match="damping of every mode"):
+    with pytest.raises(ValueError, match="damping of every mode, in contact too"):
         vj.design.respond(vj.default_rig, damping_ratio=0.0, num_modes=1, frequency_ratio=RANGE)
 
 

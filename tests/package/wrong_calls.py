@@ -103,6 +103,9 @@ CALLS = {
     "Use regimes for many": lambda: vj.lyapunov_exponent(RIG, frequency=[1.0, 2.0]),
     "study must be a function": lambda: vj.check_resolution(3, RIG),
     "system must be a system": lambda: vj.basins(3, **AT),
+    "height must be above 0 (hinge) and at most 0.03 m": lambda: vj.default_pendulum(
+        length=np.array([0.2, 0.03])
+    ),
     "mass must be": lambda: vj.MatrixSystem(1.0, 1.0, 1.0, response_map=[1.0]),
     "stiffness must be a number, got None.": lambda: vj.KelvinVoigt(None),
     "amplitude must be a number, got None.": lambda: vj.BaseMotion(None),

@@ -229,6 +229,8 @@ def test_dataset_file_and_picture(bistable, tmp_path):
         ({"x": [1.0, 0.0]}, "x must be a list of at least two increasing"),
         ({"gab": 1.0}, "Unknown argument 'gab'"),
         ({"starts": 7}, "starts = 7 is for random ones: give x and speed as vj.Range"),
+        ({"starts": np.eye(2)}, "^starts = .{1,60} is for random ones"),
+        ({"start_size": 1.0}, "start_size is for random states"),
         ({"periods": 10}, "periods must be a whole number of at least 24"),
         ({"period_tolerance": 0.0}, "period_tolerance must be above 0"),
         ({"frequency_ratio": 1.0}, "frequency_ratio or frequency"),
