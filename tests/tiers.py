@@ -53,7 +53,6 @@ SLOW = {
         "test_overdamped_stops_that_cannot_pull_cost_by_their_contacts",
         "test_a_lane_that_blows_up_leaves_its_neighbours_alone",
         "test_period_of_an_undamped_mass",
-        "test_overdamped_single_mass",
         "test_restitution_of_a_kelvin_voigt_stop",
         "test_elastic_stop_keeps_the_energy",
         "test_very_stiff_stop",
@@ -699,6 +698,7 @@ LONG = {
         "test_stops_on_either_side",
         "test_a_lane_that_blows_up_leaves_its_neighbours_alone[inf]",
         "test_what_a_gpu_runs_is_the_same_march[True]",
+        "test_overdamped_single_mass",
         "test_a_lane_that_blows_up_leaves_its_neighbours_alone[1e+200]",
     ),
     "test_following": (

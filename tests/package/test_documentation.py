@@ -24,14 +24,14 @@ def pages(*patterns):
     return sorted(path for pattern in patterns for path in ROOT.glob(pattern))
 
 
-LONG = {
+LONG = {"docs/start.md"} | {
     f"docs/how_to/{page}.md"
     for page in (
         *("regimes", "design", "identification", "histories", "own_system", "harvesters"),
         *("sweeps_and_branches", "maps", "contact_laws"),
     )
 }
-"""Pages whose code takes minutes, most of it compiling."""
+"""Pages whose code takes minutes, most of it compiling, and one that does what README does."""
 WITH_CODE = [page for page in pages("docs/**/*.md") if BLOCK.search(page.read_text())]
 LINKING = pages("*.md", "docs/**/*.md", "benchmarks/*.md", "experiments/*/*.md", "tests/data/*.md")
 
