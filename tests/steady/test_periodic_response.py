@@ -290,8 +290,10 @@ def test_methods_agree(rig, exactly, name):
     assert float(found.leading_multiplier) == pytest.approx(
         float(exact.leading_multiplier), abs=10 * values
     )
-    largest = abs(wanted).max(axis=1, keepdims=True)  # by gap the force hardly changes
-    np.testing.assert_allclose(derivative / largest, wanted / largest, atol=slopes, rtol=0)
+    np.testing.assert_allclose(derivative[0], wanted[0], rtol=slopes)
+    # The largest force is read off samples here: a hundredth of its largest derivative.
+    largest = abs(wanted[1]).max()
+    np.testing.assert_allclose(derivative[1], wanted[1], rtol=0, atol=1.5e-2 * largest)
 
 
 # Stability lost at -1
