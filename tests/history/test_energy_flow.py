@@ -126,8 +126,10 @@ def test_other_laws_close_too(law):
         assert np.isfinite(contacts.departure).all()
         taken = energy.contact_loss[-1, 0] + energy.stop_energy[-1, 0]
         assert taken == pytest.approx(contacts.energy_lost.sum(), rel=1e-6)
-    force = history.peak("contact_force")  # of the motion itself, that of contacts of cubics
-    assert force.value == pytest.approx(contacts.peak_force.max(), rel=1e-7)
+    force = history.peak("contact_force")
+    # Of a motion that is known exactly the one is read off it, the other off cubics.
+    near = 1e-7 if law == "rubber" else 1e-9
+    assert force.value == pytest.approx(contacts.peak_force.max(), rel=near)
     assert force.value == pytest.approx(np.asarray(history.contact_force).max(), rel=1e-2)
     late = history.peak("acceleration", start=0.02)
     seen = np.asarray(history.acceleration())[np.asarray(history.time) >= 0.02]
