@@ -63,13 +63,13 @@ def test_points_are_the_same_however_many_are_solved_for_in_one_call(monkeypatch
         return solved(rigs, lanes, scales, asks)
 
     monkeypatch.setattr(side_by_side, "_solved", counted)
-    system, over = rod(4.0, 1), vj.Range(60000 / TURN, 110000 / TURN)
+    system, over = vj.default_rig(num_modes=1), vj.Range(0.85, 1.4)
     settings = vj.ContinuationSettings(longest_step=0.02)
-    strides = vj.continue_response(system, frequency=over, settings=settings)
+    strides = vj.continue_response(system, frequency_ratio=over, settings=settings)
     number = len(calls)
     assert number < len(strides.values) / 2
     monkeypatch.setattr(side_by_side, "FEW", 0)
-    steps = vj.continue_response(system, frequency=over, settings=settings)
+    steps = vj.continue_response(system, frequency_ratio=over, settings=settings)
     assert len(calls) - number > len(steps.values)
     np.testing.assert_allclose(strides.values, steps.values, rtol=1e-10)
     np.testing.assert_allclose(strides.peak_ratio, steps.peak_ratio, rtol=1e-9)
@@ -102,7 +102,9 @@ def test_rod_of_the_peer(ratio):
     np.testing.assert_allclose(np.sort(branch.folds) * TURN, turning, rtol=1e-3)
     omega, peak = table["omega"], table["A_peak"]
     away = np.min(np.abs(omega[:, None] - np.array(turning)), axis=1) > 20
-    kept = np.flatnonzero(away & (omega > 57500) & (omega < 74500))[::10]
+    kept = np.flatnonzero(away & (omega > 57500) & (omega < 74500))
+    # So few crossings that the program of the branch solves for them.
+    kept = kept[:: -(-len(kept) // (side_by_side.FEW // 2))]
     found = branch.resample(omega[kept] / TURN)["peak_ratio"].values * 25e3
     difference = np.nanmin(np.abs(found / peak[kept, None] - 1), axis=1)
     assert np.median(difference) < {0.4: 3e-5, 4.0: 2e-4}[ratio]
@@ -300,7 +302,7 @@ def test_touches_that_cannot_be_passed_are_leapt_over(monkeypatch):
 
 @pytest.mark.slow
 def test_who_leaps_over_a_fold_and_comes_back_turns_about(monkeypatch):
-    rig, bounds = vj.default_rig(num_modes=2), vj.Range(0.85, 1.35)
+    rig, bounds = vj.default_rig(num_modes=1), vj.Range(0.85, 1.45)
     known = vj.continue_response(rig, frequency_ratio=bounds)
     take, leap, about = Walk.take, Walk.leap, Walk.turn_about
     turned = []

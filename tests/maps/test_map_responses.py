@@ -176,7 +176,7 @@ def test_derivatives_of_jumps_are_those_of_their_folds(settle, slopes_of_folds):
         gap=GAPS,
         response=dataclasses.replace(SWEEP, settle=settle),
         measures=["jump_up", "jump_down", "hysteresis_width", "natural_frequency"],
-        gradients="gap",
+        gradients=["gap", "stiffness"],  # as of the branches: one program
     )
     assert jumps.d_jump_down_d_gap.attrs["units"] == "1/m"
     for k, (down, up) in enumerate(slopes_of_folds):
