@@ -81,6 +81,10 @@ SLOW = {
     ),
     "test_wrong_calls": ("test_junk_is_answered_by_a_sentence_that_names_the_argument",),
     "test_parameter_map": (
+        "test_the_dataset_says_what_it_is",
+        "test_a_map_is_made_again_from_its_attributes_alone",
+        "test_a_lane_that_is_no_rig_is_flagged_and_leaves_its_neighbours",
+        "test_new_numbers_do_not_compile_again",
         "test_jumps_are_looked_for_where_a_measure_may_read_them",
         "test_zipped_axes_are_the_diagonal",
         "test_chunks_and_order_of_axes_change_nothing",
@@ -575,6 +579,8 @@ LONG = {
         "test_work_is_force_times_path",
     ),
     "test_settling": (
+        "test_lost_lane_is_flagged_and_starts_again_from_rest",
+        "test_starting_on_the_orbit_stays_there",
         "test_not_settled_is_flagged",
         "test_highest_point_of_the_upper_branch",
         "test_gradients_of_the_steady_state",
@@ -771,6 +777,7 @@ LONG = {
         "test_linear_response_is_exact_at_any_step",
     ),
     "test_jumps_at_folds": (
+        "test_one_direction_alone_finds_its_own",
         "test_lanes_do_not_depend_on_their_neighbours",
         "test_on_a_coarse_grid_they_are_those_of_a_fine_one",
     ),
@@ -785,10 +792,13 @@ LONG = {
     ),
     "test_residual_shapes": ("test_three_corrected_modes_come_closer_to_thirty_than_three_do",),
     "test_spectrum": ("test_a_release_shows_modes_and_no_drive",),
-    "test_map_identity": tuple(
-        f"test_chunks_of_corrected_lanes_and_only_they_are_computed_again[lanes{k}-{way}]"
-        for k in (1, 2, 3)
-        for way in ("traced", "called")
+    "test_map_identity": (
+        "test_chunks_of_corrected_lanes_and_only_they_are_computed_again[lanes0-traced]",
+        *(
+            f"test_chunks_of_corrected_lanes_and_only_they_are_computed_again[lanes{k}-{way}]"
+            for k in (1, 2, 3)
+            for way in ("traced", "called")
+        ),
     ),
     "test_condensed": ("test_condensed_solution_solves_the_linearised_balance[law0]",),
     "test_restitution": ("test_derivatives[<lambda>-0.1353352832366127]",),
