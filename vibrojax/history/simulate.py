@@ -82,7 +82,7 @@ def motion(
                     "This system has no natural frequency: give frequency in Hz, which sets the "
                     "steps where nothing drives."
                 )
-            natural = equations.linear_between_contacts.angular_frequency[0] / (2 * jnp.pi)
+            natural = equations.first_frequency / (2 * jnp.pi)
             # Without a drive the first natural frequency only serves as a clock.
             frequency = natural * (1.0 if frequency_ratio is None else frequency_ratio)
         waveform = Harmonic(jnp.asarray(frequency))

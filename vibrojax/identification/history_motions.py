@@ -125,7 +125,7 @@ def rig_of(system: Any, plan: Plan, frequency, numbers, record) -> Rig:
         system = system.system
     begun, sensors = apart(numbers)
     equations = system.equations()
-    unit = equations.angular_frequency[0] if plan.is_ratio else jnp.asarray(2 * jnp.pi)
+    unit = equations.drive_unit(plan.is_ratio)
     sensor = equations.response_map
     if plan.position is not None:
         sensor = system.shape_at(plan.position)

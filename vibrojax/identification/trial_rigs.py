@@ -118,8 +118,7 @@ def frequency_path(system: AbstractSystem, is_ratio: bool) -> FrequencyPath:
     check_equations(system, equations)
     linear = equations.linear_between_contacts
     assert linear is not None  # just checked
-    unit = linear.angular_frequency[0] if is_ratio else jnp.asarray(2 * jnp.pi)
-    return FrequencyPath(linear, system.drive, unit, None)
+    return FrequencyPath(linear, system.drive, linear.drive_unit(is_ratio), None)
 
 
 class LevelPath(FrequencyPath):

@@ -63,6 +63,10 @@ class AbstractEquations(eqx.Module):
         linear = self.linear_between_contacts
         return jnp.asarray(jnp.nan) if linear is None else linear.angular_frequency[0]
 
+    def drive_unit(self, is_ratio: bool) -> Float[Array, ""]:
+        """Angular frequency, rad/s, of a drive frequency of 1, a ratio or in Hz."""
+        return self.first_frequency if is_ratio else jnp.asarray(2 * jnp.pi)
+
     @property
     def memory_size(self) -> int:
         """How many internal states there are: those of stops (`AbstractMemoryLaw`), and others."""

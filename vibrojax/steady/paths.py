@@ -144,8 +144,7 @@ class FunctionPath(AbstractPath):
 def _place_at(system: AbstractSystem, frequency: Array, is_ratio: bool) -> Place:
     equations = system.equations().linear_between_contacts
     assert equations is not None  # checked before
-    unit = equations.angular_frequency[0] if is_ratio else 2 * jnp.pi
-    return Place(equations, system.drive, frequency * unit)
+    return Place(equations, system.drive, frequency * equations.drive_unit(is_ratio))
 
 
 def localise(
@@ -187,9 +186,8 @@ def frequency_path(system: AbstractSystem, is_ratio: bool, exact: bool) -> Frequ
     """Make the path along the drive frequency (a ratio to the first natural one, or Hz)."""
     equations = system.equations().linear_between_contacts
     assert equations is not None  # checked before
-    unit = equations.angular_frequency[0] if is_ratio else jnp.asarray(2 * jnp.pi)
     phases = contact_phases(equations) if exact else None
-    return FrequencyPath(equations, system.drive, unit, phases)
+    return FrequencyPath(equations, system.drive, equations.drive_unit(is_ratio), phases)
 
 
 @compiled(lightly=True)

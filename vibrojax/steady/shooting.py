@@ -59,8 +59,7 @@ def _shoot(numbers, is_ratio, period, state, method, stepper):
 
     def place_of(system, value) -> _Place:
         equations = system.equations()
-        unit = equations.angular_frequency[0] if is_ratio else 2 * jnp.pi
-        return _Place(equations, system.drive, value * unit)
+        return _Place(equations, system.drive, value * equations.drive_unit(is_ratio))
 
     shapes = eqx.filter_eval_shape(system.equations)
     n, extent = shapes.size, shapes.state_size

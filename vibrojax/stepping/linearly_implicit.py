@@ -126,8 +126,7 @@ class LinearlyImplicit(AbstractStepper):
         fastest = concrete(_fastest_damping(equations))
         if count is not None and lowest is not None:
             name, value = lowest
-            unit = equations.first_frequency if name == "frequency_ratio" else 2 * jnp.pi
-            angular = concrete(unit * value)
+            angular = concrete(equations.drive_unit(name == "frequency_ratio") * value)
             step = None if angular is None else 2 * np.pi / float(angular) / count
         if step is not None and fastest is not None:
             self.check_ringing(step, float(fastest))
