@@ -3,6 +3,8 @@
 `quick` by file; further tests that are `slow` or `long` by name. Marks beside a test say the same
 of those that were written as such. A test is moved where another one of its tier computes the same
 public function, or runs the same engine, on another rig, law or case; the dearest ones go first.
+Who such others are shows with pytest-cov: `--cov=vibrojax --cov-context=test` notes which tests run
+a line. Tests of one file that share what compiles are cheap once the first of them has run.
 """
 
 QUICK = {
