@@ -1,5 +1,6 @@
 """Branches: folds, touches, stability and points against independent references."""
 
+import inspect
 import json
 import re
 from dataclasses import replace
@@ -123,6 +124,14 @@ def test_points_are_exact_and_in_order(small_branch):
     assert small_branch.initial_state.shape == small_branch.floquet_multipliers.shape == (points, 2)
     with pytest.raises(AttributeError, match=r"^This branch runs along frequency_ratio"):
         _ = small_branch.frequency
+
+
+def test_what_a_branch_has_not_is_no_attribute_of_it(small_branch):
+    """So that notebooks can look through all that it has."""
+    assert not hasattr(small_branch, "frequency")
+    assert dict(inspect.getmembers(small_branch))["completed"]
+    with pytest.raises(AttributeError, match="mean_power needs a Harvester with report='power'"):
+        _ = small_branch.mean_power
 
 
 @pytest.mark.slow

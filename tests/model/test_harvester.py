@@ -185,7 +185,7 @@ def test_sweeps_branches_maps_and_histories_have_voltage_and_power_with_units():
     last = data["voltage"].values[-128:]
     index = int(np.argmin(np.abs(np.asarray(sweep.frequencies) - 1.05)))
     assert np.mean(last**2) / 3e4 == pytest.approx(float(sweep.mean_power[0, index]), rel=1e-3)
-    with pytest.raises(ValueError, match="voltage needs a Harvester with report='voltage'"):
+    with pytest.raises(AttributeError, match="voltage needs a Harvester with report='voltage'"):
         sweep.voltage  # noqa: B018
 
 

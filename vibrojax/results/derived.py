@@ -42,7 +42,7 @@ class AbstractRatios(eqx.Module):
     def _derived(self, name: str) -> Any:
         rules = DERIVED.get(self.ratio_units, {})
         if name not in rules:
-            raise ValueError(f"{name} needs {NEEDS[name]}.")
+            raise AttributeError(f"{name} needs {NEEDS[name]}.")
         source, rule = rules[name]
         return rule(getattr(self, source))
 
@@ -56,7 +56,7 @@ class AbstractRatios(eqx.Module):
         """Displacement rms over force rms, m/N, of a system that a force drives.
 
         The displacement counts from rest, so a mean that contact gives it is part of its rms.
-        Source: Ledezma-Ramirez et al., figs. 4 and 9. Raises `ValueError` where the base moves.
+        Source: Ledezma-Ramirez et al., figs. 4 and 9. Raises `AttributeError` where the base moves.
         """
         return self._derived("receptance")
 
@@ -64,7 +64,7 @@ class AbstractRatios(eqx.Module):
     def voltage(self) -> Values:
         """Half peak-to-peak voltage of the load, V, of a `Harvester` that reports its voltage.
 
-        Raises `ValueError` for other systems.
+        Raises `AttributeError` for other systems.
         """
         return self._derived("voltage")
 
@@ -72,7 +72,7 @@ class AbstractRatios(eqx.Module):
     def mean_power(self) -> Values:
         """Mean power in the load, W, of a `Harvester` that reports its power.
 
-        Raises `ValueError` for other systems.
+        Raises `AttributeError` for other systems.
         """
         return self._derived("mean_power")
 
@@ -80,7 +80,7 @@ class AbstractRatios(eqx.Module):
     def peak_power(self) -> Values:
         """Largest power in the load, W, of a `Harvester` that reports its power.
 
-        Raises `ValueError` for other systems.
+        Raises `AttributeError` for other systems.
         """
         return self._derived("peak_power")
 
