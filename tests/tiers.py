@@ -41,7 +41,6 @@ SLOW = {
     ),
     "test_free_bodies": (
         "test_without_loss_a_ball_comes_back_to_where_it_fell_from",
-        "test_a_free_body_on_a_base_that_vibrates",
         "test_a_mass_comes_back_from_a_stop_by_the_closed_form",
     ),
     "test_cli": (
@@ -49,26 +48,19 @@ SLOW = {
         "test_sweep_of_a_file_in_hertz",
         "test_a_failure_while_writing_leaves_nothing",
     ),
-    "test_linearly_implicit": (
-        "test_single_mass_converges_to_the_exact_motion",
-        "test_several_stops_at_one_place_share_the_force",
-    ),
+    "test_linearly_implicit": ("test_several_stops_at_one_place_share_the_force",),
     "test_contact_laws": (
         "test_laws_with_memory_are_refused_by_name_where_they_cannot_be",
         "test_histories_agree_with_scipy_and_with_other_solvers",
-        "test_histories_go_on_from_where_another_ended",
     ),
     "test_exact_contact": (
         "test_march_agrees_with_event_driven_propagation[no tension, no gap]",
-        "test_march_agrees_with_event_driven_propagation[default]",
         "test_overdamped_stops_that_cannot_pull_cost_by_their_contacts",
         "test_a_lane_that_blows_up_leaves_its_neighbours_alone",
-        "test_period_of_an_undamped_mass",
         "test_restitution_of_a_kelvin_voigt_stop",
         "test_elastic_stop_keeps_the_energy",
         "test_very_stiff_stop",
         "test_batch_equals_loop_and_order_does_not_matter",
-        "test_march_agrees_with_event_driven_propagation[no tension, light]",
         "test_march_agrees_with_event_driven_propagation[no tension, strong]",
         "test_march_agrees_with_event_driven_propagation[no tension, overdamped]",
     ),
@@ -99,35 +91,12 @@ SLOW = {
         "test_measures_of_regimes",
         "test_a_stored_map_is_not_computed_again",
     ),
-    "test_settling": (
-        "test_highest_point_of_the_upper_branch",
-        "test_found_orbits_close_on_themselves",
-        "test_cost_is_counted",
-        "test_not_settled_is_flagged",
-        "test_lost_lane_is_flagged_and_starts_again_from_rest",
-        "test_starting_on_the_orbit_stays_there",
-        "test_response_curve_of_a_system_of_ones_own",
-        "test_period_doubling_where_it_is_known",
-    ),
-    "test_history_misfit": (
-        "test_derivative_follows_the_shift",
-        "test_nonsense_lane_leaves_its_neighbour_alone",
-    ),
-    "test_periodic_response": (
-        "test_systems_that_are_not_linear_are_shot",
-        "test_the_largest_of_several_forces_is_found",
-        "test_a_failed_search_is_flagged",
-    ),
-    "test_resolution": ("test_a_motion_without_contact_has_no_change_of_its_force",),
+    "test_periodic_response": ("test_systems_that_are_not_linear_are_shot",),
     "test_map_store": (
         "test_a_lock_ends_with_its_process",
         "test_a_lock_left_in_a_complete_store_is_removed",
         "test_a_second_thread_is_refused_too",
         "test_the_second_process_says_who_has_the_store",
-    ),
-    "test_simulate_lists": (
-        "test_every_lane_is_that_of_a_single_call",
-        "test_initial_states_and_a_chirp",
     ),
     "test_identify": (
         "test_a_trial_that_is_near_follows_no_curve",
@@ -138,14 +107,7 @@ SLOW = {
         "test_repetitions_side_by_side_are_what_they_are_alone",
         "test_recovers_the_stiffness_and_bounds_the_damping",
     ),
-    "test_splitting": (
-        "test_force_gradient_beats_the_plain_kick",
-        "test_sweep_with_a_rounded_stop_agrees_with_exact_contact",
-    ),
     "test_basins": (
-        "test_a_barrier_that_is_not_crossed",
-        "test_results_do_not_depend_on_neighbours_or_order",
-        "test_new_numbers_do_not_compile_again",
         "test_random_starts_and_axes",
         "test_dataset_file_and_picture",
         "test_a_map_of_basin_fractions",
@@ -162,9 +124,7 @@ SLOW = {
     ),
     "test_simulate": (
         "test_any_implicit_solver_runs",
-        "test_spectrum_reads_the_amplitude_of_a_sine",
         "test_rates_and_accelerations_are_derivatives",
-        "test_new_numbers_and_like_lengths_do_not_recompile",
         "test_release_starts_from_the_static_shape_and_decays",
         "test_history_matches_exact_propagation[None-reverse-1e-09]",
         "test_history_matches_exact_propagation[solver2-reverse-0.0001]",
@@ -180,8 +140,6 @@ SLOW = {
         "test_refusals",
     ),
     "test_resonance": (
-        "test_histories_at_resonance_match_an_adaptive_solver",
-        "test_with_a_stop_the_motion_is_computed",
         "test_a_sweep_says_what_grows_without_bound_and_does_not_march_it",
         "test_only_undamped_driven_modes_that_no_stop_holds_grow_without_bound",
     ),
@@ -213,7 +171,7 @@ SLOW = {
         "test_undamped_motion_has_a_zero_exponent",
         "test_a_second_call_with_other_numbers_does_not_compile_again",
     ),
-    "test_single_contact": ("test_picture", "test_dataset", "test_response_on_a_grid"),
+    "test_single_contact": ("test_dataset", "test_response_on_a_grid"),
     "test_map_chunks": ("test_rigs_of_a_block_are_those_of_single_calls",),
     "test_map_damage": (
         "test_what_cannot_be_read_at_all_is_refused_with_what_to_do",
@@ -226,14 +184,9 @@ SLOW = {
     "test_compiling": tuple(
         f"test_nothing_compiles_again[{study}]"
         for study in (
-            "periodic_response_history",
-            "simulate_a_list",
-            "single_contact_response",
             "frequency_sweep_refined",
             "continue_response",
-            "continue_response_in_a_number",
             "branch_resample",
-            "explore",
             "parameter_map_of_sweeps",
             "simulate",
             "history_contacts",
@@ -250,16 +203,12 @@ SLOW = {
     "test_walks": (
         "test_touches_that_cannot_be_passed_are_leapt_over",
         "test_a_touch_just_before_the_end_of_the_range",
-        "test_a_motion_that_touches_from_the_start",
-        "test_a_force_that_jumps_makes_a_corner",
-        "test_a_walk_does_not_turn_round_at_a_touch",
         "test_special_points_do_not_depend_on_range_and_step",
         "test_points_keep_to_the_equations",
         "test_comparing_refuses",
     ),
     "test_following": (
         "test_where_a_motion_doubles_its_period_the_sweep_does",
-        "test_means_are_exact",
         "test_it_is_the_sweep_that_marches_to_every_point",
         "test_most_points_are_not_marched_to",
         "test_a_call_solves_for_many_points_of_few_lanes",
@@ -273,18 +222,10 @@ SLOW = {
         "test_it_is_the_fold_of_the_branch_on_any_grid",
         "test_the_result_says_that_it_is_exact",
         "test_a_jump_close_behind_a_touch_is_exact_too",
-        "test_on_a_coarse_grid_they_are_those_of_a_fine_one",
-        "test_one_direction_alone_finds_its_own",
         "test_what_is_only_steep_is_none",
         "test_where_every_point_is_marched_to_so_are_jumps",
     ),
-    "test_gauge": (
-        "test_extremes_do_not_depend_on_how_finely_it_is_measured",
-        "test_a_march_with_measures_goes_the_same_way",
-        "test_measures_have_forward_derivatives",
-        "test_more_stretches_than_there_is_room_for_at_once",
-        "test_integrals_and_extremes_of_one_mode_in_closed_form",
-    ),
+    "test_gauge": ("test_integrals_and_extremes_of_one_mode_in_closed_form",),
     "test_rig_file": ("test_settings_go_into_a_sweep",),
     "test_matrix_system": (
         "test_free_decay_with_a_dashpot_through_a_contact",

@@ -367,7 +367,7 @@ def test_a_full_disk_is_said_and_no_harm_wherever_it_happens(tmp_path, full_disk
     whole = tmp_path / "whole"
     small_map(whole, keep_curves=True)
     size = sum(map(len, files_of(whole).values()))
-    for k, part in enumerate((0.0, 0.5, 0.8, 1.0)):
+    for k, part in enumerate((0.0, 0.1, 0.5, 0.7, 0.8, 0.9, 1.0)):
         store = tmp_path / f"{k}"
         # Attributes are written more than once, so that all of this is too little.
         full_disk(int(part * size))

@@ -14,3 +14,4 @@ def test_every_test_that_is_named_is_there(file):
     text = FILES[file].read_text()
     for name in (*SLOW.get(file, ()), *LONG.get(file, ())):
         assert re.search(rf"^def {re.escape(name.partition('[')[0])}\(", text, re.M), name
+    assert not set(SLOW.get(file, ())) & set(LONG.get(file, ()))  # who is long is slow

@@ -64,7 +64,7 @@ class AbstractEquations(eqx.Module):
         return jnp.asarray(jnp.nan) if linear is None else linear.angular_frequency[0]
 
     def drive_unit(self, is_ratio: bool) -> Float[Array, ""]:
-        """Return the angular frequency, rad/s, of a drive frequency of 1: a ratio if `is_ratio`."""
+        """Return the angular frequency, rad/s, of a drive at 1 Hz, or at ratio 1 if `is_ratio`."""
         return self.first_frequency if is_ratio else jnp.asarray(2 * jnp.pi)
 
     @property

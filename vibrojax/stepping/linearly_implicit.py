@@ -126,8 +126,8 @@ class LinearlyImplicit(AbstractStepper):
         fastest = concrete(_fastest_damping(equations))
         if count is not None and lowest is not None:
             name, value = lowest
-            angular = concrete(equations.drive_unit(name == "frequency_ratio") * value)
-            step = None if angular is None else 2 * np.pi / float(angular) / count
+            unit = concrete(equations.drive_unit(name == "frequency_ratio"))
+            step = None if unit is None else 2 * np.pi / (float(unit) * value) / count
         if step is not None and fastest is not None:
             self.check_ringing(step, float(fastest))
 
