@@ -14,7 +14,7 @@ from vibrojax.steady import lane_pool
 from vibrojax.steady.following import advance
 from vibrojax.stepping.contact_phases import contact_phases
 
-RATIOS = np.linspace(0.9, 1.3, 33)
+RATIOS = np.linspace(0.9, 1.4, 33)
 
 
 def swept(system, settle, ratios=RATIOS, **settings):
@@ -24,7 +24,7 @@ def swept(system, settle, ratios=RATIOS, **settings):
 
 @pytest.fixture(scope="module")
 def both(rig):
-    return {settle: swept(rig(num_modes=2), settle) for settle in ("follow", "march")}
+    return {settle: swept(rig(num_modes=1), settle) for settle in ("follow", "march")}
 
 
 def test_it_is_the_sweep_that_marches_to_every_point(both):
@@ -55,7 +55,7 @@ def test_a_call_solves_for_many_points_of_few_lanes(rig, both, monkeypatch):
         return advance(*given)
 
     monkeypatch.setattr(lane_pool, "advance", counted)
-    again = swept(rig(num_modes=2), "follow", refine_jumps=None)
+    again = swept(rig(num_modes=1), "follow", refine_jumps=None)
     assert len(calls) < 0.5 * len(RATIOS)
     assert {shape[1] for shape in calls} == {2}
     np.testing.assert_array_equal(again.amplitude_ratio, both["follow"].amplitude_ratio)
@@ -64,7 +64,7 @@ def test_a_call_solves_for_many_points_of_few_lanes(rig, both, monkeypatch):
 @pytest.mark.parametrize(("damping_ratio", "marched"), [(0.018, 2), (2e-4, 8)])
 def test_a_sweep_without_contact_marches_to_its_first_points_only(rig, damping_ratio, marched):
     """With light damping, where half of a transient is left after 600 periods, by its peak too."""
-    one = rig(num_modes=2, gap=1.0, damping_ratio=damping_ratio)
+    one = rig(num_modes=1, gap=1.0, damping_ratio=damping_ratio)
     curve = swept(one, "follow")
     assert (np.asarray(curve.periods_marched) > 0).sum() <= marched
     # One mode after another, in closed form.
@@ -80,7 +80,7 @@ def test_a_sweep_without_contact_marches_to_its_first_points_only(rig, damping_r
 
 
 def test_impacts_of_a_lightly_damped_beam_settle(rig):
-    one, ratios = rig(num_modes=2, gap=1e-3, damping_ratio=1e-3), np.linspace(0.92, 1.08, 9)
+    one, ratios = rig(num_modes=1, gap=1e-3, damping_ratio=1e-3), np.linspace(0.92, 1.08, 9)
     for most in (600, None):
         curve = swept(one, "follow", ratios, refine_jumps=None, max_periods=most)
         assert np.mean(np.asarray(curve.period) > 0) > 0.6
@@ -135,10 +135,10 @@ def test_other_laws_are_followed_on_the_map_of_a_period(rig):
 
 
 def test_two_stops_are_followed_too(rig):
-    two = rig(num_modes=2)
+    two = rig(num_modes=1)
     near, far = (vj.Stop(0.5, 0.4e-3, vj.KelvinVoigt(5500.0, 5e-5, False), side=s) for s in (1, -1))
     system = vj.ImpactingBeam(
-        two.beam, stops=(near, far), drive=two.drive, damping_ratio=0.018, num_modes=2
+        two.beam, stops=(near, far), drive=two.drive, damping_ratio=0.018, num_modes=1
     )
     ours, theirs = (swept(system, s, refine_jumps=None) for s in ("follow", "march"))
     assert (np.asarray(ours.periods_marched) > 0).mean() < 0.5
@@ -150,7 +150,7 @@ def test_two_stops_are_followed_too(rig):
 
 def test_a_second_sweep_with_other_numbers_compiles_nothing(rig, both):
     programs = len(advance.programs)
-    swept(rig(num_modes=2, gap=0.5e-3, stiffness=4000.0), "follow")
+    swept(rig(num_modes=1, gap=0.5e-3, stiffness=4000.0), "follow")
     assert len(advance.programs) == programs
 
 
@@ -159,7 +159,7 @@ def test_a_rig_without_damping_beside_it_changes_nothing(rig):
     """An undamped rig is marched; its neighbours are followed as they would be alone."""
 
     def make(damping_ratio):
-        return rig(num_modes=2, damping_ratio=damping_ratio)
+        return rig(num_modes=1, damping_ratio=damping_ratio)
 
     settings = vj.SweepSettings(max_periods=200, refine_jumps=None)
     ratios = np.linspace(1.1, 1.3, 6)
@@ -179,7 +179,7 @@ def test_an_unknown_way_to_settle_is_refused():
 
 def test_means_are_exact(rig):
     """Those of a motion with contact, beside a dense sampling of it."""
-    system = rig(num_modes=2)
+    system = rig(num_modes=1)
     found = vj.periodic_response(system, frequency_ratio=1.15)
     march = vj.simulate(
         system, frequency_ratio=1.15, initial_state=found.initial_state, periods=1, samples=20001

@@ -87,6 +87,8 @@ class _Search(NamedTuple):
     """Arc length of the point that is solved for."""
     beyond: Float[Array, " lanes"]
     """That of one where the frequency goes back; inf where none is known."""
+    turned: _Point
+    """Which one that is."""
     rate_beyond: Float[Array, " lanes"]
     now: _Point
     rounds: Int[Array, " lanes"]
@@ -122,9 +124,8 @@ class _Branch:
         gap = (passed.blocks - blocks).reshape(self.unit.shape) / self.unit
         push = slopes.end.reshape(gap.shape) * self.way / self.unit
         matrix = passed.matrix.reshape(n, *gap.shape) * self.unit / self.unit[:, None]
-        gone = (blocks - search.last.blocks).reshape(gap.shape) / self.unit
-        left = search.step - jnp.sum(search.along * gone, axis=0)
-        left = left - search.rate * (w - search.last.w) / self.way
+        gone, dw = self.between(search.last, search.now)
+        left = search.step - jnp.sum(search.along * gone, axis=0) - search.rate * dw
         # The return of the motion, bordered by the arc length; two right-hand sides.
         inside = jnp.eye(n)[:, :, None] - matrix
         border = jnp.concatenate([search.along, search.rate[None]])[None]
@@ -147,6 +148,11 @@ class _Branch:
         moved = (change[:-1] * self.unit).reshape(blocks.shape)
         point = _Point(blocks + moved, times + later, w + change[-1] * self.way)
         return _Corrected(point, error, on[:-1], on[-1], delayed(on), is_stable(matrix))
+
+    def between(self, a: _Point, b: _Point) -> tuple[Array, Array]:
+        """Change of the motion, and of the frequency, from one point to another."""
+        moved = (b.blocks - a.blocks).reshape(self.unit.shape) / self.unit
+        return moved, (b.w - a.w) / self.way
 
     def is_ordered(self, times: Array) -> Array:
         """Whether contacts change one after the other."""
@@ -175,10 +181,13 @@ def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
     lost = good & ~now.stable & (rate > NOT_YET)
     lost |= (point.w - start) / branch.way > 1.0
     takes = search.going & good & ~back
-    beyond = jnp.where(
-        back, search.step, jnp.where(good, search.beyond - search.step, search.beyond)
-    )
+    turned = jax.tree.map(lambda a, b: jnp.where(back, a, b), point, search.turned)
     rate_beyond = jnp.where(back, rate, search.rate_beyond)
+    # Seen along the new tangent: the branch may have bent much since the last point.
+    away = branch.between(point, turned)
+    away = jnp.sum(now.along * away[0], axis=0) + rate * away[1]
+    away = jnp.where(jnp.isfinite(search.beyond) & (away > 0), away, jnp.inf)
+    beyond = jnp.where(back, search.step, jnp.where(good, away, search.beyond))
 
     def taken(new: Array, old: Array) -> Array:
         return jnp.where(takes, new, old)
@@ -199,6 +208,7 @@ def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
         rate=rate,
         times_along=taken(now.times_along, search.times_along),
         beyond=beyond,
+        turned=turned,
         rate_beyond=rate_beyond,
         going=search.going & ~(good & (lost | at_fold)),
         found=search.found | (search.going & at_fold & ~lost),
@@ -233,6 +243,7 @@ def fold_ahead(
         times_along=jnp.zeros_like(begin.times),
         step=zero,
         beyond=zero + jnp.inf,
+        turned=begin,
         rate_beyond=zero,
         now=begin,
         rounds=none,

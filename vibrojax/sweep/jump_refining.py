@@ -66,11 +66,15 @@ class _Bisection:
         self.width, self.last = width, self.low + EXTENSIONS * (self.high - self.low)
         self.step, self.first, self.fold = width.copy(), leaving.first, leaving.fold
         self.stage = np.where(np.isnan(self.first), HALVE, FIRST)
+        self.solved = np.zeros(len(end), bool)
 
     def jumps(self) -> np.ndarray:
-        """Which lanes jump across what is left of their bracket, and do not pass it smoothly."""
+        """Which lanes jump across what is left of their bracket, and do not pass it smoothly.
+
+        Just behind a fold a lane may not have gone far yet.
+        """
         least = np.maximum(DISTINCT * np.maximum(self.start, self.across), SHARE * self.whole)
-        return np.abs(self.across - self.start) > least
+        return self.solved | (np.abs(self.across - self.start) > least)
 
     def trial(self, lanes: np.ndarray) -> np.ndarray:
         """Where lanes are tried next, in the unit of the bracket."""
@@ -103,6 +107,7 @@ class _Bisection:
         solved = (stage == FIRST) & ~same & np.isfinite(self.fold[k])
         for end in (self.low, self.high):
             end[k] = np.where(solved, self.fold[k], end[k])
+        self.solved[k] |= solved
         done |= solved
         self.stage[k] = onwards
         return Onwards(~done, self.frequency(k), self.state[k], same)
@@ -145,6 +150,8 @@ def refine(
         follows = np.flatnonzero(left & (curves["period"][at] == 1))
         ahead = np.where(doubtful, 1, EXTENSIONS) * span * leaving.unit
         left[_solve(prepared, leaving, follows, ahead, narrow)] = False
+        lingers = np.flatnonzero(left & (curves["period"][at] == 0))
+        left[_solve_lingering(plan.grid, prepared, swept, leaving, lingers)] = False
     k = np.flatnonzero(left)
     if len(k):
         end = curves["amplitude_ratio"][rig, way, jumps.after[rig, way]]
@@ -156,7 +163,8 @@ def refine(
         leaving.state[k], leaving.free[k] = feed.state, feed.free
         smooth[k] = doubtful[k] & ~feed.jumps()
         if plan.settle == "follow":
-            _solve_near(prepared, leaving, k[settled[k] & ~smooth[k] & (feed.low != feed.high)])
+            near = k[settled[k] & (feed.low != feed.high)]
+            smooth[_solve_near(prepared, leaving, near)] = False
     jumps.bracket[rig, way], jumps.state[rig, way] = leaving.bracket, leaving.state
     jumps.free[rig, way] = leaving.free
     none = np.zeros_like(jumps.exists)
@@ -198,8 +206,39 @@ def _solve(
     return k[sure]
 
 
-def _solve_near(prepared: Prepared, leaving: _Leaving, near: Int[np.ndarray, " some"]) -> None:
-    """Solve for the folds in brackets that have been halved, where there are any."""
+def _solve_lingering(
+    grid: Float[np.ndarray, " frequencies"],
+    prepared: Prepared,
+    swept: Swept,
+    leaving: _Leaving,
+    lingers: Int[np.ndarray, " some"],
+) -> Int[np.ndarray, " solved"]:
+    """Solve for the folds behind which motions had not settled yet; return who has one.
+
+    Just behind a fold a motion stays long where its branch was: that ended a grid step before.
+    """
+    curves, jumps = swept.curves, swept.jumps
+    lanes = leaving.rig[lingers], leaving.way[lingers]
+    before = jumps.before[lanes]
+    earlier = 2 * before - jumps.after[lanes]
+    k = np.flatnonzero((earlier >= 0) & (earlier < len(grid)))
+    at = (*(a[k] for a in lanes), earlier[k])
+    k = k[(curves["period"][at] == 1) & (curves["contact_force"][at] > 0)]
+    rig, way, earlier, leaves = lanes[0][k], lanes[1][k], earlier[k], lingers[k]
+    unit, start = leaving.unit[leaves], grid[earlier]
+    given = rig, swept.states[rig, way, earlier], start * unit, (grid[before[k]] - start) * unit
+    fold, state = folds_ahead(prepared.march, *given, np.zeros(len(k), bool))
+    solved = np.isfinite(fold)
+    leaves = leaves[solved]
+    leaving.bracket[leaves] = (fold / unit)[solved, None]
+    leaving.state[leaves] = state[solved]
+    return leaves
+
+
+def _solve_near(
+    prepared: Prepared, leaving: _Leaving, near: Int[np.ndarray, " some"]
+) -> Int[np.ndarray, " solved"]:
+    """Solve for the folds in brackets that have been halved; return who has one."""
     bracket, unit, state = leaving.bracket[near], leaving.unit[near], leaving.state[near]
     given = leaving.rig[near], state, bracket * unit[:, None]
     fold, state = folds_within(prepared.march, *given)
@@ -207,3 +246,4 @@ def _solve_near(prepared: Prepared, leaving: _Leaving, near: Int[np.ndarray, " s
     inside = (share >= 0) & (share <= 1)
     leaving.bracket[near[inside]] = (fold / unit)[inside, None]
     leaving.state[near[inside]] = state[inside]
+    return near[inside]
