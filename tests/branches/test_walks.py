@@ -8,7 +8,7 @@ import pytest
 from rod import rod
 
 import vibrojax as vj
-from vibrojax.branches import contacts, side_by_side, walking
+from vibrojax.branches import contacts, side_by_side, walking, what_follows
 from vibrojax.branches.comparing import COMPARED
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import OnCurve, Seen
@@ -20,6 +20,14 @@ DATA = Path(__file__).parents[1] / "data"
 
 def special(branch, kind):
     return [p.parameter * TURN for p in branch.special_points if p.kind == kind]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_marches_behind_losses_of_stability():
+    """What follows there is looked at by other tests; every rig's shape would compile it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(what_follows, "MOST", 0)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -23,12 +23,15 @@ def _references(paths: AbstractPath, parameter):
 
 
 def references(
-    paths: AbstractPath, lane: np.ndarray, values: np.ndarray
+    paths: AbstractPath, lane: np.ndarray, values: np.ndarray, exact: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Amplitudes of the drive and first natural frequencies (Hz) of lanes at some values."""
+    """Amplitudes of the drive and first natural frequencies (Hz) of lanes at some values.
+
+    `exact` as the motions there are looked at, whose programs then serve here too.
+    """
     paths = jax.device_get(paths)
     reference, natural = in_batches(
-        lambda i: _references(localise(paths, lane[i], values[i], False), values[i]), len(lane)
+        lambda i: _references(localise(paths, lane[i], values[i], exact), values[i]), len(lane)
     )
     return reference, natural / 2 / np.pi
 
@@ -37,7 +40,7 @@ def columns_of(
     paths: AbstractPath, lane: np.ndarray, values: np.ndarray, read: BalancedMotion, period: int
 ) -> Columns:
     """Return the columns of a branch at balanced motions of some lanes; displacements as ratios."""
-    reference, natural = references(paths, lane, values)
+    reference, natural = references(paths, lane, values, False)
     columns = {
         "values": values,
         "amplitude_ratio": (read.highest - read.lowest) / 2 / reference,

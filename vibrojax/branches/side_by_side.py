@@ -53,15 +53,7 @@ class CurveRigs:
         return self._near(lanes, parameter)
 
     def _near(self, lanes: np.ndarray, parameter: np.ndarray) -> LaneTable:
-        parts = []
-        for first in range(0, len(lanes), LOOKED_AT):
-            rows = np.minimum(np.arange(first, first + LOOKED_AT), len(lanes) - 1)
-            parts.append(self._local(lanes[rows], parameter[rows]))
-        numbers = np.concatenate([part.numbers for part in parts])[: len(lanes)]
-        return LaneTable(numbers, parts[0].like, parts[0].kinds)
-
-    def _local(self, lanes: np.ndarray, parameter: np.ndarray) -> LaneTable:
-        local = jax.device_get(localise(self.paths, lanes, np.asarray(parameter, float), True))
+        local = jax.device_get(localise(self.paths, lanes, parameter, True))
         last = jax.tree.map(lambda a: np.moveaxis(np.asarray(a), 0, -1), local)
         return table_of(last, xp=np)
 

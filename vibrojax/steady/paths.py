@@ -16,8 +16,12 @@ from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.systems import AbstractSystem
+from vibrojax.steady.batches import in_batches, take
 from vibrojax.steady.contact_times import Tables, tables_of
 from vibrojax.stepping.contact_phases import ContactPhases, can_resonate, contact_phases
+
+TOGETHER = 16
+"""Points near which paths are made in one call."""
 
 
 class Place(eqx.Module):
@@ -42,7 +46,7 @@ class LocalPath(AbstractPath):
     Along a frequency that is the path itself.
     """
 
-    parameter: Float[Array, "..."]
+    parameter: Float[AnyArray, "..."]
     place: Place
     slope: Place
     """Derivative of the place; for what does not change, zero."""
@@ -162,7 +166,9 @@ def localise(
         resonant = can_resonate(phases)
         return LocalPath(jnp.asarray(parameter), place, slope, phases, None, resonant)
     here = jax.tree.map(lambda a: np.asarray(a)[lane] if eqx.is_array(a) else a, paths)
-    local = _localise(here, parameter, exact)
+    parameter = np.asarray(parameter, float)
+    near = lambda i: _localise(take(here, i), parameter[i], exact)  # noqa: E731
+    local = in_batches(near, len(lane), TOGETHER)
     return replace(local, resonant=can_resonate(local.phases))
 
 
