@@ -198,6 +198,7 @@ SLOW = {
             "frequency_sweep",
             "history_cycles",
             "frequency_sweep_of_a_function",
+            "design_response",
         )
     ),
     "test_walks": (
@@ -383,6 +384,8 @@ LONG = {
     "test_compiling": tuple(
         f"test_nothing_compiles_again[{study}]"
         for study in (
+            "optimise",
+            "propagate",
             "explore",
             "single_contact_response",
             "simulate_a_list",

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+import scipy.stats
 from unit_oscillator import oscillator
 
 import vibrojax as vj
@@ -348,6 +349,35 @@ STUDIES: dict[str, Case] = {
             rig(gap),
             samples=128,
         )
+    ),
+    "design_response": Case(
+        lambda make, gap: vj.design.respond(make, gap=gap, frequency_ratio=ABOUT).slopes(
+            lambda response: response.at("amplitude_ratio", 1.1)
+        ),
+        True,
+        own=("systems_with_slopes",),
+    ),
+    "optimise": Case(
+        lambda make, gap: vj.optimise(
+            make,
+            lambda response: response.peak(),
+            variables={"gap": (gap, 1.1 * gap)},
+            frequency_ratio=ABOUT,
+            settings=vj.design.OptimiseSettings(starts=1, screened=2),
+        ),
+        True,
+        own=("systems_with_slopes",) * 2,
+    ),
+    "propagate": Case(
+        lambda make, gap: vj.propagate(
+            make,
+            {"gap": scipy.stats.norm(gap, 1e-6)},
+            {"peak": lambda response: response.peak()},
+            frequency_ratio=ABOUT,
+            settings=vj.design.PropagationSettings(samples=4),
+        ),
+        True,
+        own=("systems_with_slopes",) * 2,
     ),
     "explore": Case(
         lambda make, gap: vj.explore(

@@ -15,8 +15,8 @@ from vibrojax.steady.contact_times import Events
 
 ROOMS = 16, 128
 """Changes of contact that programs have room for; the least that is enough is taken."""
-WIDTHS = 1, 8
-"""Motions measured in one call."""
+WIDTH = 8
+"""Motions measured in one call: of fewer it takes little longer than they, and compiles nothing more."""
 
 
 class Searches(NamedTuple):
@@ -94,7 +94,6 @@ class RigGroup:
         ]
         arrays = [np.concatenate(own) for own in zip(*(e.arrays for e in each), strict=True)]
         known = jax.tree.map(lambda *a: np.stack(a), *rows)
-        width = WIDTHS[0] if len(rows) == 1 else WIDTHS[1]
 
         def part(index: np.ndarray) -> Any:
             own = self.paths, self.slopes
@@ -102,7 +101,7 @@ class RigGroup:
             picked = jax.tree.map(lambda a: a[index], (known, *arrays))
             return each[0].program(paths, slopes, *picked, self.period, *each[0].options)
 
-        found = in_batches(part, len(rows), width)
+        found = in_batches(part, len(rows), WIDTH)
         ends = np.cumsum([0, *(len(e.motions) for e in each)]).tolist()
         return {
             k: jax.tree.map(lambda a, i=i: a[ends[i] : ends[i + 1]], found)

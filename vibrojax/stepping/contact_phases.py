@@ -206,8 +206,12 @@ def block_rest(
     return -jnp.concatenate([first / determinant, second / determinant])
 
 
-phases_of = compiled(contact_phases)
-"""The same, as a program of its own."""
+_phases_of = compiled(contact_phases)
+
+
+def phases_of(equations: LinearEquations) -> ContactPhases:
+    """Compute the same by a program of its own, which serves all numbers."""
+    return _phases_of(jax.tree.map(jnp.asarray, equations))
 
 
 def forced_blocks(
