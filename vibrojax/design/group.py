@@ -16,7 +16,7 @@ from vibrojax.steady.contact_times import Events
 ROOMS = 16, 128
 """Changes of contact that programs have room for; the least that is enough is taken."""
 WIDTH = 8
-"""Motions measured in one call: of fewer it takes little longer than they, and compiles nothing more."""
+"""Motions measured in one call: of fewer it takes little longer, and compiles nothing more."""
 
 
 class Searches(NamedTuple):

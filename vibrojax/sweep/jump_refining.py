@@ -231,7 +231,7 @@ def _solve_lingering(
     solved = np.isfinite(fold)
     leaves = leaves[solved]
     leaving.bracket[leaves] = (fold / unit)[solved, None]
-    leaving.state[leaves] = state[solved]
+    leaving.state[leaves], leaving.free[leaves] = state[solved], False
     return leaves
 
 
