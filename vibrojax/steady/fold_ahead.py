@@ -124,8 +124,7 @@ class _Branch:
         gap = (passed.blocks - blocks).reshape(self.unit.shape) / self.unit
         push = slopes.end.reshape(gap.shape) * self.way / self.unit
         matrix = passed.matrix.reshape(n, *gap.shape) * self.unit / self.unit[:, None]
-        gone, dw = self.between(search.last, search.now)
-        left = search.step - jnp.sum(search.along * gone, axis=0) - search.rate * dw
+        left = search.step - self.length(search.along, search.rate, search.last, search.now)
         # The return of the motion, bordered by the arc length; two right-hand sides.
         inside = jnp.eye(n)[:, :, None] - matrix
         border = jnp.concatenate([search.along, search.rate[None]])[None]
@@ -149,10 +148,10 @@ class _Branch:
         point = _Point(blocks + moved, times + later, w + change[-1] * self.way)
         return _Corrected(point, error, on[:-1], on[-1], delayed(on), is_stable(matrix))
 
-    def between(self, a: _Point, b: _Point) -> tuple[Array, Array]:
-        """Change of the motion, and of the frequency, from one point to another."""
-        moved = (b.blocks - a.blocks).reshape(self.unit.shape) / self.unit
-        return moved, (b.w - a.w) / self.way
+    def length(self, along: Array, rate: Array, a: _Point, b: _Point) -> Array:
+        """Arc length from one point to another, seen along a tangent."""
+        gone = (b.blocks - a.blocks).reshape(self.unit.shape) / self.unit
+        return jnp.sum(along * gone, axis=0) + rate * (b.w - a.w) / self.way
 
     def is_ordered(self, times: Array) -> Array:
         """Whether contacts change one after the other."""
@@ -184,8 +183,7 @@ def _further(branch: _Branch, search: _Search, start: Array) -> _Search:
     turned = jax.tree.map(lambda a, b: jnp.where(back, a, b), point, search.turned)
     rate_beyond = jnp.where(back, rate, search.rate_beyond)
     # Seen along the new tangent: the branch may have bent much since the last point.
-    away = branch.between(point, turned)
-    away = jnp.sum(now.along * away[0], axis=0) + rate * away[1]
+    away = branch.length(now.along, rate, point, turned)
     away = jnp.where(jnp.isfinite(search.beyond) & (away > 0), away, jnp.inf)
     beyond = jnp.where(back, search.step, jnp.where(good, away, search.beyond))
 

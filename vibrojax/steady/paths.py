@@ -165,10 +165,10 @@ def localise(
         slope = eqx.tree_at(lambda p: p.angular_frequency, still, np.asarray(unit))
         resonant = can_resonate(phases)
         return LocalPath(jnp.asarray(parameter), place, slope, phases, None, resonant)
-    here = jax.tree.map(lambda a: np.asarray(a)[lane] if eqx.is_array(a) else a, paths)
-    parameter = np.asarray(parameter, float)
-    near = lambda i: _localise(take(here, i), parameter[i], exact)  # noqa: E731
-    local = in_batches(near, len(lane), TOGETHER)
+    paths, parameter = jax.device_get((paths, parameter))
+    local = in_batches(
+        lambda i: _localise(take(paths, lane[i]), parameter[i], exact), len(lane), TOGETHER
+    )
     return replace(local, resonant=can_resonate(local.phases))
 
 

@@ -210,7 +210,7 @@ _phases_of = compiled(contact_phases)
 
 
 def phases_of(equations: LinearEquations) -> ContactPhases:
-    """Compute the same by a program of its own, which serves all numbers."""
+    """Compute the phases by a program of their own, which serves all numbers."""
     return _phases_of(jax.tree.map(jnp.asarray, equations))
 
 

@@ -66,7 +66,6 @@ class _Bisection:
         self.width, self.last = width, self.low + EXTENSIONS * (self.high - self.low)
         self.step, self.first, self.fold = width.copy(), leaving.first, leaving.fold
         self.stage = np.where(np.isnan(self.first), HALVE, FIRST)
-        self.solved = np.zeros(len(end), bool)
 
     def jumps(self) -> np.ndarray:
         """Which lanes jump across what is left of their bracket, and do not pass it smoothly.
@@ -74,7 +73,7 @@ class _Bisection:
         Just behind a fold a lane may not have gone far yet.
         """
         least = np.maximum(DISTINCT * np.maximum(self.start, self.across), SHARE * self.whole)
-        return self.solved | (np.abs(self.across - self.start) > least)
+        return (self.low == self.fold) | (np.abs(self.across - self.start) > least)
 
     def trial(self, lanes: np.ndarray) -> np.ndarray:
         """Where lanes are tried next, in the unit of the bracket."""
@@ -107,7 +106,6 @@ class _Bisection:
         solved = (stage == FIRST) & ~same & np.isfinite(self.fold[k])
         for end in (self.low, self.high):
             end[k] = np.where(solved, self.fold[k], end[k])
-        self.solved[k] |= solved
         done |= solved
         self.stage[k] = onwards
         return Onwards(~done, self.frequency(k), self.state[k], same)
@@ -220,13 +218,13 @@ def _solve_lingering(
     curves, jumps = swept.curves, swept.jumps
     lanes = leaving.rig[lingers], leaving.way[lingers]
     before = jumps.before[lanes]
-    earlier = 2 * before - jumps.after[lanes]
-    k = np.flatnonzero((earlier >= 0) & (earlier < len(grid)))
-    at = (*(a[k] for a in lanes), earlier[k])
-    k = k[(curves["period"][at] == 1) & (curves["contact_force"][at] > 0)]
-    rig, way, earlier, leaves = lanes[0][k], lanes[1][k], earlier[k], lingers[k]
-    unit, start = leaving.unit[leaves], grid[earlier]
-    given = rig, swept.states[rig, way, earlier], start * unit, (grid[before[k]] - start) * unit
+    # At an end of the grid that is the same point, which has no period.
+    earlier = np.clip(2 * before - jumps.after[lanes], 0, len(grid) - 1)
+    at = (*lanes, earlier)
+    k = np.flatnonzero((curves["period"][at] == 1) & (curves["contact_force"][at] > 0))
+    leaves, start, end = lingers[k], grid[earlier[k]], grid[before[k]]
+    rig, state, unit = leaving.rig[leaves], swept.states[at][k], leaving.unit[leaves]
+    given = rig, state, start * unit, (end - start) * unit
     fold, state = folds_ahead(prepared.march, *given, np.zeros(len(k), bool))
     solved = np.isfinite(fold)
     leaves = leaves[solved]
