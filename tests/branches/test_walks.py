@@ -62,6 +62,38 @@ def test_points_keep_to_the_equations(small_rods):
 
 
 @pytest.mark.slow
+def test_what_happens_next_to_a_touch_does_not_depend_on_the_step():
+    """Where a contact is about to end, or has just begun, it splits into two for a little while."""
+    stop = vj.Stop(position=0.61, gap=0.297e-3, law=vj.KelvinVoigt(stiffness=36.1e3, damping=23.2))
+    rig = vj.ImpactingBeam(
+        beam=vj.default_rig(taper=0.91, mass_ratio=8.8).beam,
+        stops=(stop,),
+        drive=vj.BaseMotion(amplitude=97.8e-6),
+        damping_ratio=0.0554,
+        num_modes=3,
+    )
+    branches = [
+        vj.continue_response(
+            rig,
+            frequency_ratio=vj.Range(0.95, 1.1),
+            settings=vj.ContinuationSettings(longest_step=step),
+        )
+        for step in (0.08, 0.05, 0.02, 0.01)
+    ]
+    first, *others = branches
+    kinds = [point.kind for point in first.special_points]
+    there = ["grazing", "contact_change", "contact_change", "fold"]
+    assert kinds == [*there, *there[::-1]]
+    for other in others:
+        assert [point.kind for point in other.special_points] == kinds
+        np.testing.assert_allclose(
+            [point.parameter for point in other.special_points],
+            [point.parameter for point in first.special_points],
+            rtol=1e-9,
+        )
+
+
+@pytest.mark.slow
 def test_points_are_the_same_however_many_are_solved_for_in_one_call(monkeypatch):
     """One by one in a wide program, or a stride of them as one lane alone takes."""
     calls, solved = [], side_by_side._solved
@@ -314,7 +346,9 @@ def test_who_leaps_over_a_fold_and_comes_back_turns_about(monkeypatch):
     turned = []
 
     def take_but_the_second(walk, passed):
-        return take(walk, None if len(walk.touches) == 1 and not walk.leaps else passed)
+        if len(walk.touches) == 1 and not walk.leaps:
+            return walking.SHORTEST / 2
+        return (yield from take(walk, passed))
 
     def leap_to_the_wrong_side(walk):
         came = yield from leap(walk)

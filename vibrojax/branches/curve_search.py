@@ -9,6 +9,7 @@ from vibrojax.branches.contacts import (
     Contacts,
     at_section,
     best_section,
+    in_order,
     is_close,
     is_ordered,
     pairs,
@@ -26,6 +27,10 @@ BOUNCED = 1.5
 """By how much a pair may last longer where it was about to vanish."""
 SWELLED = 0.05
 """Least relative change of a contact's duration that shows whether the curve turned."""
+SKIPPED = 0.25
+"""Most that the square of a contact's duration may be off what its rates say, over itself."""
+LEFT, LEAST = 0.75, 1e-4
+"""Least share of a contact's duration that is left, or was there, after a step of that length."""
 LOOSE = 1e-8
 """Drive angle, rad, by which a march is off that has gone astray."""
 FARTHEST = 0.16
@@ -94,6 +99,16 @@ class CurveSearch:
         found = yield ask
         self.asked += len(found)
         return [motion if motion.error <= ACCURATE else None for motion in found]
+
+    def swapped(self, ask: Ask, found: OnCurve) -> Steps:
+        """Solve again where stops change contact in another order; None for one stop."""
+        contacts, times = in_order(found.contacts, found.times)
+        moved = [a != b for a, b in zip(contacts.stops, found.contacts.stops, strict=True)]
+        if sum(moved) != 2:
+            return None
+        near = ask._replace(contacts=contacts, times=times)
+        near = near._replace(state=found.state, parameter=found.parameter)
+        return (yield from self.solve(near))
 
     def near(
         self, state: Float[np.ndarray, " states"], value: float, section: float = 0.0
@@ -174,6 +189,32 @@ class CurveSearch:
         for (i, j), lasted, lasts in _durations(last, found):
             change = lasts - lasted
             if abs(change) > SWELLED * lasted and change * (rates[j] - rates[i]) < 0:
+                return True
+        return False
+
+    def turns_twice(self, a: OnCurve, b: OnCurve, step: float) -> bool:
+        """Whether the parameter may turn round and back between two motions."""
+        if step < 1e-4 or a.parameter_along * b.parameter_along <= 0:
+            return False
+        # The cubic with these values and rates: whether its rate passes zero inside.
+        left, right = a.parameter_along * step, b.parameter_along * step
+        middle = 1.5 * (b.parameter - a.parameter) - (left + right) / 4
+        return bool(middle * left < 0)
+
+    def skips(self, last: OnCurve, found: OnCurve) -> bool:
+        """Whether a contact changes by else than its rates at both motions say, or by too much.
+
+        Squares of durations change evenly, next to touches too. A contact that gets short may split
+        into two for a little while.
+        """
+        if last.contacts != found.contacts:
+            return False
+        for (i, j), lasted, lasts in _durations(last, found):
+            rates = (m.times_along[j] - m.times_along[i] for m in (last, found))
+            before, after = (2 * d * rate for d, rate in zip((lasted, lasts), rates, strict=True))
+            off = lasts**2 - lasted**2 - found.way * (before + after) / 2
+            short, long = sorted((lasted, lasts))
+            if abs(off) > SKIPPED * long**2 or (found.way > LEAST and short < LEFT * long):
                 return True
         return False
 

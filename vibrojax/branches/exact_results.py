@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from vibrojax.branches.continuation import LONGEST_STEP
-from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
+from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
 from vibrojax.branches.points import ExactCurve, SpecialPoint
 from vibrojax.branches.readings import Columns, references
-from vibrojax.branches.refining import Special, Stretch
+from vibrojax.branches.refining import Special
 from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
 from vibrojax.branches.walking import Walk
 from vibrojax.steady.paths import AbstractPath
@@ -102,9 +102,9 @@ def between(walk: Walk, first: int, value: float) -> Steps:
             if motion is not None and _is_within(walk, a, b, motion):
                 break
         else:
-            motion = yield from _by_halving(walk, first, touch, value)
+            motion = yield from _by_halving(walk, first, value)
     else:
-        motion = yield from _by_halving(walk, first, touch, value)
+        motion = yield from _by_halving(walk, first, value)
     if motion is None:
         return None, None
     (seen,) = yield Look([motion])
@@ -121,16 +121,16 @@ def _is_within(walk: Walk, a: OnCurve, b: OnCurve, motion: OnCurve) -> bool:
     return -slack <= (way if near is a else -way) <= b.way + slack
 
 
-def _by_halving(walk: Walk, first: int, touch: Touch | None, value: float) -> Steps:
+def _by_halving(walk: Walk, first: int, value: float) -> Steps:
     """Close in on a value along the branch, then hold it."""
     ends = [walk.points[k].parameter - value for k in (first, first + 1)]
     if ends[0] * ends[1] > 0:
         return None
-    stretch = Stretch(walk, first, touch)
+    stretch = walk.stretch(first)
     nodes = zip(stretch.ends, ends, strict=True)
     found = yield from stretch.root(lambda motion: motion.parameter - value, 1e-9, *nodes)
-    if found.at_touch and touch is not None:
-        return walk.points[touch.at]
+    if found.at_touch and stretch.touch is not None:
+        return walk.points[stretch.touch.at]
     if found.motion is None:
         return None
     held = yield from walk.search.solve(walk.search.pinned(found.motion, value))

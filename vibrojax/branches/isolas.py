@@ -23,7 +23,7 @@ from vibrojax.branches.exact_results import between, columns_of_motions, motions
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
 from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import BranchPoints
-from vibrojax.branches.refining import SOLVED, Stretch
+from vibrojax.branches.refining import SOLVED
 from vibrojax.branches.resampling import passages_of, resample
 from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
 from vibrojax.branches.walking import Walk
@@ -243,7 +243,7 @@ def _turn(walk: Walk, k: int) -> Steps:
     """
     if walk.is_leap(k):
         return None, []
-    stretch = Stretch(walk, k, walk.touch_in(k))
+    stretch = walk.stretch(k)
     ends = zip(stretch.ends, (m.parameter_along for m in walk.points[k : k + 2]), strict=True)
     root = yield from stretch.root(lambda m: m.parameter_along, SOLVED["fold"], *ends)
     begin, fold = walk.points[k], root.motion

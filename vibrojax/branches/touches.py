@@ -134,14 +134,14 @@ def touch_between(
     bounds: tuple[float, float],
 ) -> Steps:
     """Go to the touch before a motion that breaks its contacts, and beyond it, within bounds."""
+    extra = _met_beyond(search, bad, seen)
+    if not extra:
+        return (yield from vanish(search, last, apart, bounds))
     if bad.contacts.section != last.contacts.section:
         cut = yield from search.cut_at(last, bad.contacts.section)
         if cut is None:
             return None
         last = cut
-    extra = _met_beyond(search, bad, seen)
-    if not extra:
-        return (yield from vanish(search, last, apart, bounds))
     found = []
     for pair in extra:
         guess = bad.contacts, bad.times, bad.state, bad.parameter

@@ -6,15 +6,17 @@ as if their contacts stayed as they are, then marched for a period: where the ma
 contacts, the touch in between is solved for, and the walk goes on from there.
 """
 
+from bisect import bisect_left
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.branches.contacts import in_order, is_ordered
+from vibrojax.branches.contacts import is_ordered
 from vibrojax.branches.continuation import LOOP_POINTS, Ending
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch
+from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
+from vibrojax.branches.stretch import Stretch
 from vibrojax.branches.touches import SHARP, Passed, by_duration, closing, touch_between, vanish
 from vibrojax.steady.curve_programs import STRAIGHT
 from vibrojax.steady.orbit_curve import Stride
@@ -28,6 +30,10 @@ MOST_TRIES = 40
 LEAPS = 1e-5, 1e-4, 1e-3, 1e-2, 4e-2
 """Arclengths by which changes of contact are leapt over that cannot be passed one by one."""
 MOST_LEAPS = 30
+WITHIN = 1e-5
+"""Arclength up to which it is not looked between a touch and its neighbour."""
+NEARER = 0.999
+"""Share of the way to a touch within which another one comes before it."""
 SAME = 1e-8
 """Most that the same touch may differ from itself, in arclength, when it is passed again."""
 FARTHER = 4.0
@@ -91,6 +97,8 @@ class Walk:
                 if full:
                     continue
             step = yield from self.pass_change(misfit, step)
+            if isinstance(step, Ending):
+                return step
             tries += 1
             is_stuck = step < SHORTEST or tries > MOST_TRIES
             if self.retraces() or (is_stuck and self.comes_back()):
@@ -102,21 +110,26 @@ class Walk:
             step, room, tries, reached = FIRST / 2, 4, 0, len(self.points)
 
     def pass_change(self, misfit: OnCurve | None, step: float) -> Steps:
-        """Pass the change of contact ahead; returns the step to go on with.
+        """Pass the change of contact ahead; returns the step to go on with, or how the walk ended.
 
         It lies before the motion `misfit`, whose contacts do not fit, or, without one, where no
         motion was found at that step.
         """
-        last, bounds = self.points[-1], (self.low, self.high)
         if misfit is None:
-            passing, shorter = vanish(self.search, last, step, bounds), step / 2.5
+            last, shorter, bounds = self.points[-1], step / 2.5, (self.low, self.high)
+            passed = yield from vanish(self.search, last, step, bounds)
         else:
-            assert self.refused is not None
             apart = max(misfit.way, 2 * SHORTEST)
-            passing = touch_between(self.search, last, misfit, self.refused, apart, bounds)
             shorter = apart / 4
-        came = self.take((yield from passing))
-        return FIRST / 2 if came else shorter
+            passed = yield from self.touch_before(misfit, apart)
+        return shorter if passed is None else (yield from self.take(passed))
+
+    def touch_before(self, misfit: OnCurve, apart: float) -> Steps:
+        """Solve for the touch before a motion that was refused just now."""
+        assert self.refused is not None
+        last, bounds = self.points[-1], (self.low, self.high)
+        steps = touch_between(self.search, last, misfit, self.refused, apart, bounds)
+        return (yield from steps)
 
     def look_ahead(self, step: float, room: int) -> Steps:
         """Solve for up to `room` motions: those, the step behind them, the end of the range met.
@@ -214,7 +227,14 @@ class Walk:
 
     def touch_in(self, cell: int) -> Touch | None:
         """Return the touch that the cell behind a point begins or ends with."""
-        return next((touch for touch in self.touches if touch.cell == cell), None)
+        place = bisect_left(self.touches, cell, key=lambda touch: touch.cell)
+        near = self.touches[place : place + 1]
+        return near[0] if near and near[0].cell == cell else None
+
+    def stretch(self, cell: int) -> Stretch:
+        """Motions of the cell behind a point."""
+        first, last = self.points[cell : cell + 2]
+        return Stretch(self.search, first, last, self.touch_in(cell))
 
     def is_leap(self, cell: int) -> bool:
         """Whether changes of contact were leapt over in the cell behind a point."""
@@ -226,20 +246,58 @@ class Walk:
         self.points.append(motion)
         self.seen.append(seen)
 
-    def take(self, passed: Passed | None) -> bool:
-        """Take a touch and what is behind it as points; says whether there is one."""
-        if passed is None:
-            return False
-        touch = passed.motions[0]
+    def take(self, passed: Passed) -> Steps:
+        """Take a touch, and what is next to it and beyond, as points; returns as `pass_change`.
+
+        Where contacts change before that is reached, the way goes on from there.
+        """
+        touch, *beyond = passed.motions
         while len(self.points) > 1 and self.is_behind(touch, self.points[-1]):
             self.points.pop()
             self.seen.pop()
         if self.landing is not None and self.landing >= len(self.points):
             self.landing = None
+        if not passed.touch.entering:
+            stopped = yield from self.fill(touch, passed.touch)
+            if stopped is not None:
+                return stopped
         self.touches.append(passed.touch._replace(at=len(self.points)))
-        for motion, seen in zip(passed.motions, passed.seen, strict=True):
-            self.add(motion, seen)
-        return True
+        self.add(self.behind_last(touch), passed.seen[0])
+        for motion, seen in zip(beyond, passed.seen[1:], strict=True):
+            stopped = yield from self.fill(motion, passed.touch)
+            if stopped is not None:
+                return stopped
+            self.add(self.behind_last(motion), seen)
+        return FIRST / 2
+
+    def fill(self, end: OnCurve, touch: Touch) -> Steps:
+        """Take motions up to the other end of the cell of a touch.
+
+        Returns None where it is reached, else as `pass_change`.
+        """
+        whole = self.behind_last(end).way
+        if whole <= WITHIN:
+            return None
+        stretch = Stretch(self.search, self.points[-1], end, touch)
+        inside = yield from stretch.next_to_touch()
+        count = yield from self.verify(inside)
+        if isinstance(count, Ending):
+            return count
+        if count == len(inside) or (touch.entering and not count):
+            return None
+        apart, left = inside[count].way, self.behind_last(end).way
+        nearer = yield from self.touch_before(inside[count], apart)
+        if nearer is not None and nearer.motions[0].way < NEARER * left:
+            return (yield from self.take(nearer))
+        return apart / 4 if apart > WITHIN else None
+
+    def behind_last(self, motion: OnCurve) -> OnCurve:
+        """A motion with its way from the last point, where both are cut at the same phase."""
+        last = self.points[-1]
+        if motion.contacts.section != last.contacts.section:
+            return motion
+        change = motion.state - last.state, motion.parameter - last.parameter
+        return replace(motion, way=abs(self.search.along(last, *change)))
 
     def is_behind(self, touch: OnCurve, last: OnCurve) -> bool:
         """Whether a touch at which a contact begins lies behind a point, if only a little."""
@@ -314,7 +372,7 @@ class Walk:
             rest = yield from search.every(ask._replace(stride=one._replace(most=room)))
         found, *rest = rest
         if found is not None and not is_ordered(found.contacts, found.times, search.whole):
-            found, rest = (yield from self.swapped(ask, found)), []
+            found, rest = (yield from search.swapped(ask, found)), []
         if found is not None and goal is None and not self.low <= found.parameter <= self.high:
             goal = self.high if found.parameter > self.high else self.low
             found, rest = (yield from search.solve(search.pinned(last, goal))), []
@@ -333,25 +391,6 @@ class Walk:
         cosine /= np.hypot(
             np.linalg.norm(found.state_along) / last.size, found.parameter_along / search.scale
         )
-        turns = search.turns_round(last, found) or self.turns_twice(last, found, step)
         near = search.apart(last, found) <= 2.5 * step + 1e-9
-        return bool(cosine >= STRAIGHT and near and not turns)
-
-    def swapped(self, ask: Ask, found: OnCurve) -> Steps:
-        """Solve again where stops change contact in another order; None for one stop."""
-        contacts, times = in_order(found.contacts, found.times)
-        moved = [a != b for a, b in zip(contacts.stops, found.contacts.stops, strict=True)]
-        if sum(moved) != 2:
-            return None
-        near = ask._replace(contacts=contacts, times=times)
-        near = near._replace(state=found.state, parameter=found.parameter)
-        return (yield from self.search.solve(near))
-
-    def turns_twice(self, a: OnCurve, b: OnCurve, step: float) -> bool:
-        """Whether the parameter may turn round and back between two motions."""
-        if step < 1e-4 or a.parameter_along * b.parameter_along <= 0:
-            return False
-        # The cubic with these values and rates: whether its rate passes zero inside.
-        left, right = a.parameter_along * step, b.parameter_along * step
-        middle = 1.5 * (b.parameter - a.parameter) - (left + right) / 4
-        return bool(middle * left < 0)
+        turns = search.turns_round(last, found) or search.turns_twice(last, found, step)
+        return bool(cosine >= STRAIGHT and near and not turns and not search.skips(last, found))

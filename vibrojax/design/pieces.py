@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float
 
 from vibrojax.branches.on_curve import OnCurve, Steps, Touch
 from vibrojax.branches.points import TURNS
-from vibrojax.branches.refining import Stretch
 from vibrojax.design.known_branch import KnownBranch, Node
 
 Number = Callable[[OnCurve], tuple[float, float]]
@@ -113,9 +112,7 @@ class Between:
 
     def __init__(self, known: KnownBranch, a: Knot, b: Knot):
         self.a, self.b = a.motion, b.motion
-        walk = known.walk
-        touch = walk.touch_in(a.cell)
-        self.stretch = Stretch(walk, a.cell, touch)
+        self.stretch = known.walk.stretch(a.cell)
         self.places = self._place(known, a, 0), self._place(known, b, 1)
 
     def _place(self, known: KnownBranch, knot: Knot, side: int) -> float:
@@ -126,7 +123,7 @@ class Between:
 
     def place_of(self, motion: OnCurve) -> float:
         """Where a motion in between lies on the stretch."""
-        if self.stretch.touch is not None:
+        if self.stretch.by_times is not None:
             return float(self.stretch.by_times @ motion.times)
         first = self.stretch.first
         change = motion.state - first.state, motion.parameter - first.parameter
@@ -139,11 +136,11 @@ class Between:
 
     def stretch_at(self, motion: OnCurve) -> float:
         """How much of the curve there is per unit of the place at a motion; none at a touch."""
-        touch = self.stretch.touch
-        if touch is not None:
-            if len(motion.times) != len(self.stretch.by_times):
+        by_times = self.stretch.by_times
+        if by_times is not None:
+            if len(motion.times) != len(by_times):
                 return 0.0
-            return 1.0 / float(self.stretch.by_times @ motion.times_along)
+            return 1.0 / float(by_times @ motion.times_along)
         along = motion.state_along, motion.parameter_along
         return 1.0 / self.stretch.search.along(self.stretch.first, *along)
 
