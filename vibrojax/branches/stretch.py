@@ -16,13 +16,13 @@ AT_TOUCH = 1e-7
 """Duration of a contact, over that where a fold was looked for from, that is as good as a touch."""
 HALVINGS = 12
 """Of the way to motions that are known, where there is none at a place."""
-
 NEXT_TO_TOUCH = 1 / 2, 1 / 4, 1 / 8
 """Shares of how long a new contact lasts at which motions next to a touch are looked at."""
 TURNING = 4
 """Times that it is looked, the later ones where the curve may turn round twice in between."""
 
 SEVERAL = 1.5
+"""Ratio of a contact's durations at both ends from which on the place is its duration."""
 
 Number = Callable[[OnCurve], float]
 
@@ -157,7 +157,7 @@ class Stretch:
 
 
 def _changing_most(a: OnCurve, b: OnCurve) -> tuple[int, int] | None:
-    """Places of the contact that lasts several times as long at one of two motions; or None."""
+    """Places of the contact whose duration differs most between two motions; None if by little."""
     ratios = {}
     for one, other in zip(pairs(a.contacts, a.times), pairs(b.contacts, b.times), strict=True):
         short, long = sorted((one.length, other.length))
