@@ -62,6 +62,10 @@ class CurveSearch:
         change = float(a.state_along @ state) / a.size**2
         return change + a.parameter_along * parameter / self.scale**2
 
+    def way(self, a: OnCurve, b: OnCurve) -> float:
+        """Length along the curve at a motion to another that is cut at the same drive phase."""
+        return self.along(a, b.state - a.state, b.parameter - a.parameter)
+
     def apart(self, a: OnCurve, b: OnCurve) -> float:
         """Distance of two motions that are cut at the same drive phase, in arclength."""
         moved = np.linalg.norm(b.state - a.state) / a.size
@@ -159,7 +163,7 @@ class CurveSearch:
 
     def oriented(self, found: OnCurve, last: OnCurve) -> OnCurve:
         """The motion with the direction in which the curve was followed to it."""
-        way = self.along(last, found.state - last.state, found.parameter - last.parameter)
+        way = self.way(last, found)
         found = replace(found, family=last.family, way=way)
         forward = self.along(last, found.state_along, found.parameter_along)
         return found if forward >= 0 else found.reversed()

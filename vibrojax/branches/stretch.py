@@ -119,8 +119,7 @@ class Stretch:
             places = _where_turning({p: m for p, m in nodes.items() if p or self.search.smooth})
         last, inside = self.first, []
         for motion in list(nodes.values())[1:-1]:
-            change = motion.state - last.state, motion.parameter - last.parameter
-            last = replace(motion, way=abs(self.search.along(last, *change)), family=self.family)
+            last = replace(motion, way=abs(self.search.way(last, motion)), family=self.family)
             inside.append(last)
         return inside
 

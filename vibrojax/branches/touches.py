@@ -98,7 +98,7 @@ def vanish(search: CurveSearch, last: OnCurve, step: float, bounds: tuple[float,
         if came is None:
             continue
         touch, _ = came
-        gone = search.along(last, touch.state - last.state, touch.parameter - last.parameter)
+        gone = search.way(last, touch)
         if not -TOGETHER < gone < 4 * max(step, way) or not _is_within(touch, bounds):
             continue
         # Behind the touch the stop is left further and further.
@@ -149,7 +149,7 @@ def touch_between(
         if came is None:
             continue
         touch, angle = came
-        gone = search.along(last, touch.state - last.state, touch.parameter - last.parameter)
+        gone = search.way(last, touch)
         # Before the touch the stop came nearer and nearer.
         touch = touch if touch.height_along > 0 else touch.reversed()
         if -BEHIND < gone < 1.2 * apart + TOGETHER and _goes_on(search, last, touch):

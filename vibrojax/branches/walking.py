@@ -296,15 +296,13 @@ class Walk:
         last = self.points[-1]
         if motion.contacts.section != last.contacts.section:
             return motion
-        change = motion.state - last.state, motion.parameter - last.parameter
-        return replace(motion, way=abs(self.search.along(last, *change)))
+        return replace(motion, way=abs(self.search.way(last, motion)))
 
     def is_behind(self, touch: OnCurve, last: OnCurve) -> bool:
         """Whether a touch at which a contact begins lies behind a point, if only a little."""
         if touch.family != last.family or touch.contacts != last.contacts:
             return False
-        change = touch.state - last.state, touch.parameter - last.parameter
-        return self.search.along(last, *change) < 0
+        return self.search.way(last, touch) < 0
 
     def verify(self, ahead: list[OnCurve]) -> Steps:
         """Take motions that keep to their contacts; returns how many, or that the curve closed."""
@@ -334,8 +332,7 @@ class Walk:
         first, last = self.points[0], self.points[-1]
         if first.contacts != last.contacts:
             return
-        change = first.state - last.state, first.parameter - last.parameter
-        way = self.search.along(last, *change)
+        way = self.search.way(last, first)
         if way > 0:
             self.add(replace(first, way=way, family=last.family), self.seen[0])
 
