@@ -17,7 +17,7 @@ from vibrojax.branches.contacts import (
     without,
 )
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, at_value
-from vibrojax.steady.curve_programs import ACCURATE
+from vibrojax.steady.curve_programs import ACCURATE, LEAST, LEFT, STRAIGHT
 
 FREE = Contacts((), 0, 0.0)
 
@@ -29,8 +29,6 @@ SWELLED = 0.05
 """Least relative change of a contact's duration that shows whether the curve turned."""
 SKIPPED = 0.25
 """Most that the square of a contact's duration may be off what its rates say, over itself."""
-LEFT, LEAST = 0.75, 1e-4
-"""Least share of a contact's duration that is left, or was there, after a step of that length."""
 LOOSE = 1e-8
 """Drive angle, rad, by which a march is off that has gone astray."""
 FARTHEST = 0.16
@@ -167,6 +165,18 @@ class CurveSearch:
         found = replace(found, family=last.family, way=way)
         forward = self.along(last, found.state_along, found.parameter_along)
         return found if forward >= 0 else found.reversed()
+
+    def comes_next(self, found: OnCurve, last: OnCurve, step: float) -> bool:
+        """Whether a motion is the one a step behind the last."""
+        if not self.is_sound(found) or self.collapses(last, found, ahead=True):
+            return False
+        cosine = self.along(last, found.state_along, found.parameter_along)
+        cosine /= np.hypot(
+            np.linalg.norm(found.state_along) / last.size, found.parameter_along / self.scale
+        )
+        near = self.apart(last, found) <= 2.5 * step + 1e-9
+        turns = self.turns_round(last, found) or self.turns_twice(last, found, step)
+        return bool(cosine >= STRAIGHT and near and not turns and not self.skips(last, found))
 
     def collapses(self, last: OnCurve, found: OnCurve, *, ahead: bool = False) -> bool:
         """Whether a pair has all but vanished: of no duration it fits everywhere.

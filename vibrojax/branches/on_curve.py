@@ -63,6 +63,11 @@ class OnCurve:
         return np.sort(np.abs(self.multipliers))[::-1]
 
     @cached_property
+    def outside(self) -> int:
+        """How many multipliers are outside of the unit circle."""
+        return int(np.sum(self.moduli > 1))
+
+    @cached_property
     def size(self) -> float:
         """Of the state, as a length."""
         return max(float(np.linalg.norm(self.state)), 1e-300)

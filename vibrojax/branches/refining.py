@@ -43,16 +43,21 @@ def _crossing(place: int) -> Number:
     return lambda motion: float(motion.moduli[place]) - 1.0
 
 
-def _numbers(a: OnCurve, b: OnCurve) -> dict[str, Number]:
-    """Numbers that pass zero between two motions where there is a special point, by kind."""
-    numbers: dict[str, Number] = {
-        "fold": lambda motion: motion.parameter_along,
-        "period_doubling": lambda motion: float(doubling_test(motion.multipliers)),
-    }
-    outside = sorted(int(np.sum(motion.moduli > 1)) for motion in (a, b))
+def _along(motion: OnCurve) -> float:
+    return motion.parameter_along
+
+
+def _doubling(motion: OnCurve) -> float:
+    return float(doubling_test(motion.multipliers))
+
+
+def _passing(a: OnCurve, b: OnCurve) -> dict[str, Number]:
+    """Numbers that pass zero between two motions, as at special points, by the kind of these."""
+    numbers: dict[str, Number] = {"fold": _along, "period_doubling": _doubling}
+    outside = sorted((a.outside, b.outside))
     if outside[1] - outside[0] >= 2:
         numbers["neimark_sacker"] = _crossing(outside[0])
-    return numbers
+    return {kind: number for kind, number in numbers.items() if number(a) * number(b) < 0}
 
 
 def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
@@ -63,18 +68,21 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
         if walk.is_leap(k):
             found += _leapt_over(walk, k)
             continue
+        first, last = walk.points[k : k + 2]
+        doubtful = _doubtful(walk, k)
+        if not doubtful and not _passing(first, last):
+            continue
         stretch = walk.stretch(k)
-        places = [stretch.ends[0], *_doubtful(walk, k, stretch), stretch.ends[1]]
+        places = [stretch.place(share) for share in (0.0, *doubtful, 1.0)]
         motions = yield from stretch.each(places[1:-1])
-        nodes = list(zip(places, [walk.points[k], *motions, walk.points[k + 1]], strict=True))
+        nodes = list(zip(places, [first, *motions, last], strict=True))
         known = [(place, motion) for place, motion in nodes if motion is not None]
         for (low, a), (high, b) in pairwise(known):
-            for kind, number in _numbers(a, b).items():
-                if number(a) * number(b) < 0:
-                    part = stretch.root(number, SOLVED[kind], (low, number(a)), (high, number(b)))
-                    unseen = yield from _refined(walk, k, kind, stretch, part)
-                    if unseen is not None:
-                        solved.append(unseen)
+            for kind, number in _passing(a, b).items():
+                part = stretch.root(number, SOLVED[kind], (low, number(a)), (high, number(b)))
+                unseen = yield from _refined(walk, k, kind, stretch, part)
+                if unseen is not None:
+                    solved.append(unseen)
     if solved:  # one march of all
         every = yield Look([motion for _, motion, *_ in solved])
         for (kind, motion, k, refined), seen in zip(solved, every, strict=True):
@@ -93,21 +101,21 @@ def _leapt_over(walk: Walk, k: int) -> list[Special]:
     return [Special(kind, a, walk.seen[k], k, refined=False) for kind in kinds]
 
 
-def _doubtful(walk: Walk, k: int, stretch: Stretch) -> list[float]:
-    """Places between the points k and k + 1 where multipliers may be on the other side."""
+def _doubtful(walk: Walk, k: int) -> list[float]:
+    """Shares of the way between two points where multipliers may be on the other side."""
     a, b = walk.points[k], walk.points[k + 1]
-    first, last = a.moduli, b.moduli
-    if stretch.touch is not None:
+    first, last, touch = a.moduli, b.moduli, walk.touch_in(k)
+    if touch is not None:
         # Next to a touch they change with the root of the way: they may have come and gone.
         moved = np.abs(first - last)[np.maximum(first, last) > 0.5]
-        low, high = stretch.ends
-        shares = SHARES if stretch.touch.entering else SHARES[::-1]
-        return [share * max(low, high) for share in shares] if (moved > MOVED).any() else []
+        if not (moved > MOVED).any():
+            return []
+        return sorted(share**2 if touch.entering else 1 - share**2 for share in SHARES)
     before, after = walk.points[max(k - 1, 0)], walk.points[min(k + 2, len(walk.points) - 1)]
-    outside = int(np.sum(first > 1))
-    if before.family != a.family or after.family != b.family or outside != np.sum(last > 1):
+    outside = a.outside
+    if before.family != a.family or after.family != b.family or outside != b.outside:
         return []
-    places = set()
+    shares = set()
     for place in {max(outside - 1, 0), min(outside, len(first) - 1)}:
         # Lines through the neighbours on either side meet where the way may have its turn.
         number, whole = _crossing(place), b.way
@@ -119,8 +127,8 @@ def _doubtful(walk: Walk, k: int, stretch: Stretch) -> list[float]:
             continue
         meet = (end - start - rises[1] * whole) / (rises[0] - rises[1])
         if 0 < meet < whole and (start + rises[0] * meet) * start < 0:
-            places.add(stretch.place(meet / whole))
-    return sorted(places)
+            shares.add(meet / whole)
+    return sorted(shares)
 
 
 def _refined(

@@ -21,6 +21,7 @@ from vibrojax.branches.contacts import (
 )
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch
+from vibrojax.branches.stretch import Stretch
 
 CLOSES = 0.3
 """Share of its duration that is left to a pair at the next step, where it may vanish."""
@@ -36,16 +37,24 @@ FASTEST, CHANGES = 3, (0.5, 0.2, 0.05)
 """Contacts whose duration is made to change, and by what share, in order of trying."""
 LEAST_WAY = 0.02
 """Arclength behind a touch that is tried at the least."""
+WITHIN = 1e-5
+"""Arclength up to which it is not looked between a touch and its neighbour."""
 
 
 class Passed(NamedTuple):
     """The way through a touch."""
 
     motions: list[OnCurve]
-    """The touch, and where a contact begins the first motion that has it; None is without."""
+    """Where a contact ends, the motions ahead of the touch, and the touch; where one begins, the
+    touch, the motions behind it and the first that was found with the contact."""
     seen: list[Seen]
     touch: Touch
     """Counted from the first of them."""
+
+    @property
+    def place(self) -> OnCurve:
+        """The touch itself."""
+        return self.motions[self.touch.at]
 
 
 def closing(last: OnCurve, step: float) -> list[tuple[float, Pair]]:
@@ -106,11 +115,20 @@ def vanish(search: CurveSearch, last: OnCurve, step: float, bounds: tuple[float,
         if search.smooth and gone > SHARP and not _goes_on(search, last, touch):
             continue
         touch = replace(touch, family=last.family + 1, way=abs(gone))
-        (seen,) = yield Look([touch])
-        if not _only_touches(search, touch, seen):
+        passed = Touch(0, False, pair.places, pair.stop)
+        motions = [*(yield from _between(search, last, touch, passed)), touch]
+        seen = yield Look(motions)
+        if not _only_touches(search, touch, seen[-1]):
             continue
-        return Passed([touch], [seen], Touch(0, False, pair.places, pair.stop))
+        return Passed(motions, seen, passed._replace(at=len(motions) - 1))
     return None
+
+
+def _between(search: CurveSearch, first: OnCurve, last: OnCurve, touch: Touch) -> Steps:
+    """Solve for motions between a touch and its neighbour, unless that is very near."""
+    if abs(search.way(first, last)) <= WITHIN:
+        return []
+    return (yield from Stretch(search, first, last, touch).next_to_touch())
 
 
 def _only_touches(search: CurveSearch, touch: OnCurve, seen: Seen) -> bool:
@@ -131,12 +149,16 @@ def touch_between(
     bad: OnCurve,
     seen: Seen,
     apart: float,
+    reach: float,
     bounds: tuple[float, float],
 ) -> Steps:
-    """Go to the touch before a motion that breaks its contacts, and beyond it, within bounds."""
+    """Go to the touch before a motion that breaks its contacts, and beyond it, within bounds.
+
+    A march that is not stable misses contacts some way before they end: `reach` is how far.
+    """
     extra = _met_beyond(search, bad, seen)
     if not extra:
-        return (yield from vanish(search, last, apart, bounds))
+        return (yield from vanish(search, last, reach, bounds))
     if bad.contacts.section != last.contacts.section:
         cut = yield from search.cut_at(last, bad.contacts.section)
         if cut is None:
@@ -232,10 +254,12 @@ def _enter(
                     first *= 0.4
                     continue
                 found = replace(found, family=last.family + 1, way=abs(gone))
-                both_seen = yield Look([touch, found])
-                if search.fits(found, both_seen[1]):
-                    touched = Touch(0, True, places, new[0][1])
-                    return Passed([touch, found], both_seen, touched)
+                passed = Touch(0, True, places, new[0][1])
+                between = yield from _between(search, touch, found, passed)
+                motions = [touch, *between, found]
+                seen = yield Look(motions)
+                if search.fits(found, seen[-1]):
+                    return Passed(motions, seen, passed)
         first *= 0.4
     return None
 

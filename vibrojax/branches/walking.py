@@ -17,21 +17,26 @@ from vibrojax.branches.continuation import LOOP_POINTS, Ending
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
 from vibrojax.branches.stretch import Stretch
-from vibrojax.branches.touches import SHARP, Passed, by_duration, closing, touch_between, vanish
-from vibrojax.steady.curve_programs import STRAIGHT
+from vibrojax.branches.touches import (
+    SHARP,
+    WITHIN,
+    Passed,
+    by_duration,
+    closing,
+    touch_between,
+    vanish,
+)
 from vibrojax.steady.orbit_curve import Stride
 
 FIRST, SHORTEST = 0.02, 1e-9
 """Steps, in arclength: change of the state over its size, and of the parameter over its scale."""
-MOST_AHEAD = 16
+AHEAD = 16
 """Points that are solved for before they are looked at."""
 MOST_TRIES = 40
 """Tries to pass a touch before the next point has to be found."""
 LEAPS = 1e-5, 1e-4, 1e-3, 1e-2, 4e-2
 """Arclengths by which changes of contact are leapt over that cannot be passed one by one."""
 MOST_LEAPS = 30
-WITHIN = 1e-5
-"""Arclength up to which it is not looked between a touch and its neighbour."""
 NEARER = 0.999
 """Share of the way to a touch within which another one comes before it."""
 SAME = 1e-8
@@ -76,10 +81,10 @@ class Walk:
         here = yield from self.search.cut_well(start.reversed() if turns else start)
         (seen,) = yield Look([here])
         self.add(here, seen)
-        begun, step, room = start.parameter, FIRST, 4
+        begun, step = start.parameter, FIRST
         tries, reached = 0, 0
         while True:
-            found = yield from self.look_ahead(step, room)
+            found = yield from self.look_ahead(step)
             if found is None:
                 return Ending.running
             ahead, step, goal = found
@@ -89,13 +94,14 @@ class Walk:
             if isinstance(count, Ending):
                 return count
             if count < len(ahead):
-                misfit, room = ahead[count], 4
+                misfit = ahead[count]
+                step += sum(motion.way for motion in ahead[count:])
             elif goal is not None:
                 return Ending.turned_back if goal == begun else Ending.completed
+            elif ahead and (len(ahead) == AHEAD or not closing(self.points[-1], step)):
+                continue
             else:
-                misfit, full, room = None, len(ahead) == room, min(2 * room, MOST_AHEAD)
-                if full:
-                    continue
+                misfit = None
             step = yield from self.pass_change(misfit, step)
             if isinstance(step, Ending):
                 return step
@@ -107,13 +113,13 @@ class Walk:
                 continue
             elif not (yield from self.leap()):
                 return Ending.stuck
-            step, room, tries, reached = FIRST / 2, 4, 0, len(self.points)
+            step, tries, reached = FIRST / 2, 0, len(self.points)
 
     def pass_change(self, misfit: OnCurve | None, step: float) -> Steps:
         """Pass the change of contact ahead; returns the step to go on with, or how the walk ended.
 
         It lies before the motion `misfit`, whose contacts do not fit, or, without one, where no
-        motion was found at that step.
+        motion was found at that step. With one that is how far motions were solved for.
         """
         if misfit is None:
             last, shorter, bounds = self.points[-1], step / 2.5, (self.low, self.high)
@@ -121,39 +127,46 @@ class Walk:
         else:
             apart = max(misfit.way, 2 * SHORTEST)
             shorter = apart / 4
-            passed = yield from self.touch_before(misfit, apart)
+            passed = yield from self.touch_before(misfit, apart, step)
         return shorter if passed is None else (yield from self.take(passed))
 
-    def touch_before(self, misfit: OnCurve, apart: float) -> Steps:
-        """Solve for the touch before a motion that was refused just now."""
+    def touch_before(self, misfit: OnCurve, apart: float, reach: float) -> Steps:
+        """Solve for the touch before a motion that was refused just now.
+
+        Where it met no more contacts than it has, one may end up to `reach` ahead.
+        """
         assert self.refused is not None
         last, bounds = self.points[-1], (self.low, self.high)
-        steps = touch_between(self.search, last, misfit, self.refused, apart, bounds)
+        steps = touch_between(self.search, last, misfit, self.refused, apart, reach, bounds)
         return (yield from steps)
 
-    def look_ahead(self, step: float, room: int) -> Steps:
-        """Solve for up to `room` motions: those, the step behind them, the end of the range met.
+    def look_ahead(self, step: float) -> Steps:
+        """Solve for some motions: those, the step behind them, the end of the range met.
 
         There are fewer where no step is short enough: a contact begins or ends there. None where
         there would be more points than allowed.
         """
         ahead: list[OnCurve] = []
         rest: list[OnCurve | None] = []
+        failed, longest = 0, self.longest
         while len(self.points) + len(ahead) <= self.max_points:
-            last = ahead[-1] if ahead else self.points[-1]
-            found, goal, rest = yield from self.further(last, step, rest, room - len(ahead))
+            last, room = ahead[-1] if ahead else self.points[-1], AHEAD - len(ahead)
+            found, goal, rest = yield from self.further(last, step, longest, rest, room)
             if found is not None:
                 ahead.append(found)
                 step = found.step
-                if goal is not None or len(ahead) == room:
+                if goal is not None or len(ahead) == AHEAD:
                     return ahead, step, goal
                 continue
             if not closing(last, step):
-                step *= 0.4
+                step = longest = 0.4 * step
+                failed += 1
+                if ahead and (failed > 1 or step < SHORTEST):  # other contacts may have come
+                    return ahead, step, None
                 if step >= SHORTEST:
                     continue
                 bounds = self.low, self.high
-                came = None if ahead else (yield from by_duration(self.search, last, bounds))
+                came = yield from by_duration(self.search, last, bounds)
                 if came is not None:
                     self.add(*came)
                     step = max(2 * came[0].way, 10 * SHORTEST)
@@ -247,47 +260,44 @@ class Walk:
         self.seen.append(seen)
 
     def take(self, passed: Passed) -> Steps:
-        """Take a touch, and what is next to it and beyond, as points; returns as `pass_change`.
+        """Take a touch, and what is next to it, as points; returns as `pass_change`.
 
         Where contacts change before that is reached, the way goes on from there.
         """
-        touch, *beyond = passed.motions
-        while len(self.points) > 1 and self.is_behind(touch, self.points[-1]):
+        place, touch = passed.place, passed.touch
+        while len(self.points) > 1 and self.is_behind(place, self.points[-1]):
             self.points.pop()
             self.seen.pop()
         if self.landing is not None and self.landing >= len(self.points):
             self.landing = None
-        if not passed.touch.entering:
-            stopped = yield from self.fill(touch, passed.touch)
-            if stopped is not None:
-                return stopped
-        self.touches.append(passed.touch._replace(at=len(self.points)))
-        self.add(self.behind_last(touch), passed.seen[0])
-        for motion, seen in zip(beyond, passed.seen[1:], strict=True):
-            stopped = yield from self.fill(motion, passed.touch)
-            if stopped is not None:
-                return stopped
+        *ahead, end = zip(passed.motions, passed.seen, strict=True)
+        for k, (motion, seen) in enumerate(ahead):
+            if motion is place:
+                self.touches.append(touch._replace(at=len(self.points)))
+            else:
+                kept = yield from self.kept(motion, seen)
+                if kept is None:
+                    if touch.entering and k == 1:  # it is that touch again
+                        break
+                    stopped = yield from self.take_sooner(motion, end[0])
+                    if stopped is not None:
+                        return stopped
+                    break
+                motion, seen = kept
             self.add(self.behind_last(motion), seen)
+        if not touch.entering:
+            self.touches.append(touch._replace(at=len(self.points)))
+        self.add(self.behind_last(end[0]), end[1])
         return FIRST / 2
 
-    def fill(self, end: OnCurve, touch: Touch) -> Steps:
-        """Take motions up to the other end of the cell of a touch.
+    def take_sooner(self, misfit: OnCurve, end: OnCurve) -> Steps:
+        """Take the touch before a motion that was refused just now, if it lies before the end.
 
-        Returns None where it is reached, else as `pass_change`.
+        Returns None where that is reached, else as `pass_change`.
         """
-        whole = self.behind_last(end).way
-        if whole <= WITHIN:
-            return None
-        stretch = Stretch(self.search, self.points[-1], end, touch)
-        inside = yield from stretch.next_to_touch()
-        count = yield from self.verify(inside)
-        if isinstance(count, Ending):
-            return count
-        if count == len(inside) or (touch.entering and not count):
-            return None
-        apart, left = inside[count].way, self.behind_last(end).way
-        nearer = yield from self.touch_before(inside[count], apart)
-        if nearer is not None and nearer.motions[0].way < NEARER * left:
+        apart, left = misfit.way, self.behind_last(end).way
+        nearer = yield from self.touch_before(misfit, apart, left)
+        if nearer is not None and nearer.place.way < NEARER * left:
             return (yield from self.take(nearer))
         return apart / 4 if apart > WITHIN else None
 
@@ -309,13 +319,11 @@ class Walk:
         if not ahead:
             return 0
         every = yield Look(ahead, self.halfway(ahead) if self.doubled else None)
-        for k, (motion, seen) in enumerate(zip(ahead, every, strict=True)):
-            if not self.search.fits(motion, seen):
-                again = None if self.doubled else (yield from self.search.recut(motion, seen))
-                if again is None:
-                    self.refused = seen
-                    return k
-                motion, seen = again
+        for k, each in enumerate(zip(ahead, every, strict=True)):
+            kept = yield from self.kept(*each)
+            if kept is None:
+                return k
+            motion, seen = kept
             if self.doubled:
                 odd = self.search.unit * seen.initial_state - seen.at_section
                 if float(odd @ (self.odd if self.odd is not None else odd)) < 0:
@@ -326,6 +334,15 @@ class Walk:
                 self.close()
                 return Ending.closed
         return len(ahead)
+
+    def kept(self, motion: OnCurve, seen: Seen) -> Steps:
+        """A motion that keeps to its contacts, and what was seen of it; None if it breaks them."""
+        if self.search.fits(motion, seen):
+            return motion, seen
+        again = None if self.doubled else (yield from self.search.recut(motion, seen))
+        if again is None:
+            self.refused = seen
+        return again
 
     def close(self) -> None:
         """Take the first point as the last one too, unless the walk has gone past it."""
@@ -353,14 +370,16 @@ class Walk:
         # Who comes by the other way has turned round.
         return bool(near and gone @ self._apart(0, 1) > 0)
 
-    def further(self, last: OnCurve, step: float, rest: list[OnCurve | None], room: int) -> Steps:
+    def further(
+        self, last: OnCurve, step: float, longest: float, rest: list[OnCurve | None], room: int
+    ) -> Steps:
         """Solve for the next motion: that, the end of the range met, and the rest of a stride.
 
         `rest` are motions behind the last that are solved for already. Where there are none, up to
         `room` are solved for; what is left of them is worth something only behind the first.
         """
         search, goal = self.search, None
-        one = Stride(last.size, step, self.longest, self.low, self.high, 1)
+        one = Stride(last.size, step, longest, self.low, self.high, 1)
         ask = search.ahead(last, step)._replace(stride=one)
         if not self.low < ask.parameter < self.high:
             goal = self.high if ask.parameter >= self.high else self.low
@@ -374,20 +393,7 @@ class Walk:
             goal = self.high if found.parameter > self.high else self.low
             found, rest = (yield from search.solve(search.pinned(last, goal))), []
         found = None if found is None else search.oriented(found, last)
-        if found is None or not self.comes_next(found, last, step):
+        if found is None or not search.comes_next(found, last, step):
             return None, None, []
         cut = yield from search.cut_well(found)
         return cut, goal, rest if cut is found else []
-
-    def comes_next(self, found: OnCurve, last: OnCurve, step: float) -> bool:
-        """Whether a motion is the one a step behind the last."""
-        search = self.search
-        if not search.is_sound(found) or search.collapses(last, found, ahead=True):
-            return False
-        cosine = search.along(last, found.state_along, found.parameter_along)
-        cosine /= np.hypot(
-            np.linalg.norm(found.state_along) / last.size, found.parameter_along / search.scale
-        )
-        near = search.apart(last, found) <= 2.5 * step + 1e-9
-        turns = search.turns_round(last, found) or search.turns_twice(last, found, step)
-        return bool(cosine >= STRAIGHT and near and not turns and not search.skips(last, found))

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from vibrojax._tools.compiled import compiled
+from vibrojax.steady.contact_times import Events
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.orbit_curve import (
     ROOM,
@@ -36,6 +37,10 @@ GROWTH = (3, 2.5), (4, 1.8), (5, 1.4), (7, 1.0), (np.inf, 0.7)
 """By what steps grow after so many rounds of Newton's method."""
 BENDS = 0.97
 """Cosine up to which no step grows."""
+LEFT, LEAST = 0.75, 1e-4
+"""Least share of a contact's duration that is left, or was there, after a step of that length."""
+AIM = 0.8
+"""Share of its duration that steps are chosen for."""
 MEASURED = 1e-10
 """Relative error of the integrals that are read."""
 
@@ -63,7 +68,8 @@ def _onwards(ask: Try, found: Motion) -> tuple[Try, Bool[Array, " lanes"]]:
     most, growth = np.array(GROWTH).T
     grown = jnp.asarray(growth)[jnp.searchsorted(most, found.rounds)]
     grown = jnp.where(cosine > BENDS, grown, jnp.minimum(grown, 1.0))
-    step = jnp.minimum(grown * stride.step, stride.longest)
+    longest = jnp.minimum(stride.longest, _as_long_as_contacts_last(ask.events, found))
+    step = jnp.minimum(grown * stride.step, longest)
     along = found.state_along / size**2, found.parameter_along / scale**2
     value = jnp.sum(along[0] * found.state, axis=0) + along[1] * found.parameter + step
     none = jnp.zeros_like(step)
@@ -77,6 +83,17 @@ def _onwards(ask: Try, found: Motion) -> tuple[Try, Bool[Array, " lanes"]]:
     parameter = following.parameter
     inside = (parameter > stride.low) & (parameter < stride.high)
     return following, inside & (found.error <= ACCURATE) & (cosine >= STRAIGHT)
+
+
+def _as_long_as_contacts_last(events: Events, found: Motion) -> Float[Array, " lanes"]:
+    """Arclength within which no contact changes much: squares of durations change evenly."""
+    stops, lasts = events.stop, jnp.diff(found.times, axis=0)
+    is_pair = (stops[1:] == stops[:-1]) & (stops[1:] >= 0) & (lasts > 0)
+    relative = 2 * jnp.diff(found.times_along, axis=0) / jnp.where(is_pair, lasts, 1.0)
+    change = jnp.where(relative < 0, 1 - AIM**2, AIM**-2 - 1)
+    changes = is_pair & (relative != 0)
+    way = jnp.where(changes, change / jnp.abs(jnp.where(changes, relative, 1.0)), jnp.inf)
+    return jnp.maximum(jnp.min(way, axis=0), LEAST)
 
 
 @compiled
