@@ -7,7 +7,7 @@ import numpy as np
 from vibrojax._tools.compiled import compiled
 from vibrojax.steady.balanced_motion import BalancedMotion
 from vibrojax.steady.batches import in_batches
-from vibrojax.steady.paths import AbstractPath, localise
+from vibrojax.steady.paths import AbstractPath, FrequencyPath, localise
 
 Columns = dict[str, np.ndarray]
 
@@ -29,11 +29,14 @@ def references(
 
     `exact` as the motions there are looked at, whose programs then serve here too.
     """
-    paths = jax.device_get(paths)
+    paths, back = jax.device_get(paths), slice(None)
+    if isinstance(paths, FrequencyPath):  # the same at every frequency
+        lane, first, back = np.unique(lane, return_index=True, return_inverse=True)
+        values = values[first]
     reference, natural = in_batches(
         lambda i: _references(localise(paths, lane[i], values[i], exact), values[i]), len(lane)
     )
-    return reference, natural / 2 / np.pi
+    return reference[back], natural[back] / 2 / np.pi
 
 
 def columns_of(
