@@ -11,7 +11,8 @@ import vibrojax as vj
 from vibrojax.branches import contacts, side_by_side, walking, what_follows
 from vibrojax.branches.comparing import COMPARED
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import OnCurve, Seen
+from vibrojax.branches.on_curve import Look, OnCurve, Seen
+from vibrojax.branches.refining import special_points_of
 from vibrojax.branches.walking import Walk
 
 TURN = 2 * np.pi
@@ -233,6 +234,13 @@ def test_touches_of_stiff_stops_where_the_curve_turns_sharply():
     assert np.max(branch.residual) < 1e-9
 
 
+def test_few_motions_are_solved_for_in_vain():
+    """Steps are as long as contacts allow, and no dead end behind a touch is followed far."""
+    branch = vj.continue_response(vj.default_rig(num_modes=2), frequency_ratio=vj.Range(0.85, 1.31))
+    assert branch.completed
+    assert branch.ticks < 1.5 * len(branch.values)
+
+
 def test_a_hairpin_within_a_step_is_seen():
     """A contact lasts longer at the next motion, whose rates say that it gets shorter."""
     search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
@@ -273,6 +281,30 @@ def test_a_march_begins_again_where_it_went_astray():
     assert begins(twice, np.add(times, [0.0, 0.0, 0.0, 1e-3])) is None
     assert begins(contacts.Contacts((0, 1, 1, 0), 0, 0.5), times) is None
     assert begins(twice, times + 1e-3, fits=False) is None
+
+
+def test_a_special_point_whose_motion_breaks_its_contacts_is_unrefined():
+    """The motions on either side keep to theirs: there is more in between than was found."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    free, times, state = contacts.Contacts((), 0, 0.0), np.zeros(0), np.ones(2)
+
+    def motion(rate, way):
+        return OnCurve(free, times, state, 1.0, state, times, rate, np.eye(2) / 2, way=way)
+
+    def special(met, at):
+        walk = Walk(search, 0.0, 2.0, 0.1, 10, points=[motion(1.0, 0.0), motion(-1.0, 0.1)])
+        steps, seen = special_points_of(walk), Seen(met, at, True, state, state, None)
+        fold = dataclasses.replace(motion(0.0, 0.0), error=0.0)
+        request = next(steps)
+        while True:
+            try:
+                request = steps.send([seen] if isinstance(request, Look) else [fold])
+            except StopIteration as end:
+                (found,) = end.value
+                return found.kind, found.refined
+
+    assert special(free, times) == ("fold", True)
+    assert special(contacts.Contacts((0, 0), 0, 0.0), np.array([1.0, 1.1])) == ("fold", False)
 
 
 @pytest.mark.slow

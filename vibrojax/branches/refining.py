@@ -86,6 +86,8 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
     if solved:  # one march of all
         every = yield Look([motion for _, motion, *_ in solved])
         for (kind, motion, k, refined), seen in zip(solved, every, strict=True):
+            if (yield from walk.kept(motion, seen)) is None:
+                refined = False  # contacts of the motions between two points are not theirs
             found.append(Special(kind, motion, seen, k, refined))
     for touch in walk.touches:
         point, seen = walk.points[touch.at], walk.seen[touch.at]
