@@ -241,6 +241,16 @@ def test_few_motions_are_solved_for_in_vain():
     assert branch.ticks < 1.5 * len(branch.values)
 
 
+def test_a_branch_has_as_many_points_as_are_allowed():
+    settings = vj.ContinuationSettings(max_points=12)
+    bounds = vj.Range(0.85, 1.31)
+    branch = vj.continue_response(
+        vj.default_rig(num_modes=1), frequency_ratio=bounds, settings=settings
+    )
+    assert branch.status == "running"
+    assert 10 <= len(branch.values) <= 12
+
+
 def test_a_hairpin_within_a_step_is_seen():
     """A contact lasts longer at the next motion, whose rates say that it gets shorter."""
     search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)

@@ -81,8 +81,7 @@ class Walk:
         here = yield from self.search.cut_well(start.reversed() if turns else start)
         (seen,) = yield Look([here])
         self.add(here, seen)
-        begun, step = start.parameter, FIRST
-        tries, reached = 0, 0
+        begun, step, tries, reached = start.parameter, FIRST, 0, 0
         while True:
             found = yield from self.look_ahead(step)
             if found is None:
@@ -144,18 +143,19 @@ class Walk:
         """Solve for some motions: those, the step behind them, the end of the range met.
 
         There are fewer where no step is short enough: a contact begins or ends there. None where
-        there would be more points than allowed.
+        there are as many points as allowed.
         """
         ahead: list[OnCurve] = []
         rest: list[OnCurve | None] = []
         failed, longest = 0, self.longest
-        while len(self.points) + len(ahead) <= self.max_points:
-            last, room = ahead[-1] if ahead else self.points[-1], AHEAD - len(ahead)
+        while len(self.points) + len(ahead) < self.max_points:
+            last = ahead[-1] if ahead else self.points[-1]
+            room = min(AHEAD, self.max_points - len(self.points)) - len(ahead)
             found, goal, rest = yield from self.further(last, step, longest, rest, room)
             if found is not None:
                 ahead.append(found)
                 step = found.step
-                if goal is not None or len(ahead) == AHEAD:
+                if goal is not None or room == 1:
                     return ahead, step, goal
                 continue
             if not closing(last, step):
