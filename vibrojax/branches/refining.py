@@ -6,6 +6,7 @@ smooth: a special point is where one number passes zero.
 
 from collections.abc import Generator
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,17 +44,16 @@ def _crossing(place: int) -> Number:
     return lambda motion: float(motion.moduli[place]) - 1.0
 
 
-def _along(motion: OnCurve) -> float:
-    return motion.parameter_along
-
-
 def _doubling(motion: OnCurve) -> float:
     return float(doubling_test(motion.multipliers))
 
 
 def _passing(a: OnCurve, b: OnCurve) -> dict[str, Number]:
     """Numbers that pass zero between two motions, as at special points, by the kind of these."""
-    numbers: dict[str, Number] = {"fold": _along, "period_doubling": _doubling}
+    numbers: dict[str, Number] = {
+        "fold": attrgetter("parameter_along"),
+        "period_doubling": _doubling,
+    }
     outside = sorted((a.outside, b.outside))
     if outside[1] - outside[0] >= 2:
         numbers["neimark_sacker"] = _crossing(outside[0])
@@ -86,8 +86,11 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
     if solved:  # one march of all
         every = yield Look([motion for _, motion, *_ in solved])
         for (kind, motion, k, refined), seen in zip(solved, every, strict=True):
-            if (yield from walk.kept(motion, seen)) is None:
-                refined = False  # contacts of the motions between two points are not theirs
+            if kind != "touch_fold":  # the walk has looked at its touches
+                kept = yield from walk.kept(motion, seen)
+                # Else motions between two points do not keep to the contacts of these.
+                refined = refined and kept is not None
+                motion, seen = kept or (motion, seen)
             found.append(Special(kind, motion, seen, k, refined))
     for touch in walk.touches:
         point, seen = walk.points[touch.at], walk.seen[touch.at]

@@ -154,7 +154,8 @@ def touch_between(
 ) -> Steps:
     """Go to the touch before a motion that breaks its contacts, and beyond it, within bounds.
 
-    A march that is not stable misses contacts some way before they end: `reach` is how far.
+    A march of an unstable motion misses contacts some way before they end: one that ends is looked
+    for up to `reach` ahead.
     """
     extra = _met_beyond(search, bad, seen)
     if not extra:

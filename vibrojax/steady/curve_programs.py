@@ -91,8 +91,7 @@ def _as_long_as_contacts_last(events: Events, found: Motion) -> Float[Array, " l
     is_pair = (stops[1:] == stops[:-1]) & (stops[1:] >= 0) & (lasts > 0)
     relative = 2 * jnp.diff(found.times_along, axis=0) / jnp.where(is_pair, lasts, 1.0)
     change = jnp.where(relative < 0, 1 - AIM**2, AIM**-2 - 1)
-    changes = is_pair & (relative != 0)
-    way = jnp.where(changes, change / jnp.abs(jnp.where(changes, relative, 1.0)), jnp.inf)
+    way = jnp.where(is_pair, change / jnp.maximum(jnp.abs(relative), 1e-300), jnp.inf)
     return jnp.maximum(jnp.min(way, axis=0), LEAST)
 
 
