@@ -202,6 +202,7 @@ SLOW = {
         )
     ),
     "test_walks": (
+        "test_a_contact_that_comes_and_goes_within_a_step_is_seen",
         "test_touches_that_cannot_be_passed_are_leapt_over",
         "test_a_touch_just_before_the_end_of_the_range",
         "test_special_points_do_not_depend_on_range_and_step",
@@ -226,7 +227,10 @@ SLOW = {
         "test_what_is_only_steep_is_none",
         "test_where_every_point_is_marched_to_so_are_jumps",
     ),
-    "test_gauge": ("test_integrals_and_extremes_of_one_mode_in_closed_form",),
+    "test_gauge": (
+        "test_integrals_and_extremes_of_one_mode_in_closed_form",
+        "test_how_near_a_stop_comes_to_a_change_of_contact_in_closed_form",
+    ),
     "test_rig_file": ("test_settings_go_into_a_sweep",),
     "test_matrix_system": (
         "test_free_decay_with_a_dashpot_through_a_contact",

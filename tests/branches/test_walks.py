@@ -234,6 +234,33 @@ def test_touches_of_stiff_stops_where_the_curve_turns_sharply():
     assert np.max(branch.residual) < 1e-9
 
 
+def test_a_contact_that_comes_and_goes_within_a_step_is_seen():
+    """A second contact with the far stop, at ratios of 0.76345 to 0.76356."""
+    beam = vj.default_rig(taper=0.678462416607437, mass_ratio=9.415473385260913).beam
+    stops = (
+        (0.9105999797850765, 6.715837782082608e-4, 6634.320450423437, 8.889424134268985, 1),
+        (0.26766511347987587, 9.25795635197384e-05, 186.47771453413668, 44.69499730141473, -1),
+    )
+    rig = vj.ImpactingBeam(
+        beam=beam,
+        stops=tuple(
+            vj.Stop(position=x, gap=gap, law=vj.KelvinVoigt(k, c), side=side)
+            for x, gap, k, c, side in stops
+        ),
+        drive=vj.BaseMotion(amplitude=0.008723440501846669),
+        damping_ratio=0.16675051099924043,
+        num_modes=2,
+    )
+    for step in (0.08, 0.02):
+        branch = vj.continue_response(
+            rig,
+            frequency_ratio=vj.Range(0.74, 0.8),
+            settings=vj.ContinuationSettings(longest_step=step),
+        )
+        found = [point.parameter for point in branch.special_points]
+        np.testing.assert_allclose(found, [0.7418794, 0.7634518, 0.7635637, 0.7860851], rtol=1e-7)
+
+
 def test_few_motions_are_solved_for_in_vain():
     """Steps are as long as contacts allow, and no dead end behind a touch is followed far."""
     branch = vj.continue_response(vj.default_rig(num_modes=2), frequency_ratio=vj.Range(0.85, 1.31))

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from marches import prepared
 
-from vibrojax.stepping.gauge import PLACES
+from vibrojax.stepping import exact_contact
+from vibrojax.stepping.contact_phases import phases_of
+from vibrojax.stepping.forcing import forcing
+from vibrojax.stepping.gauge import PLACES, Ruler
 
 
 @eqx.filter_jit
@@ -68,6 +71,32 @@ def test_integrals_and_extremes_of_one_mode_in_closed_form(rig):
     np.testing.assert_allclose(measures.integral_of_square, amplitude**2 * np.pi / w, rtol=1e-9)
     harmonic = np.hypot(measures.integral_with_sine, measures.integral_with_cosine)
     np.testing.assert_allclose(harmonic, amplitude * np.pi / w, rtol=1e-9)
+
+
+@jax.jit
+def nearest(phases, state, angular_frequency):
+    """March over a period of a clock that drives nothing: how near a stop comes, and when."""
+    force = forcing(phases, 0j * angular_frequency, angular_frequency, 0 * angular_frequency)
+    ruler = Ruler(jnp.asarray(1e-10), jnp.asarray(jnp.inf), nearest=True)
+    _, _, measures = exact_contact.march(phases, force, state, ruler=ruler)
+    return measures.nearest[:, 0]
+
+
+def test_how_near_a_stop_comes_to_a_change_of_contact_in_closed_form(oscillator):
+    flying = phases_of(oscillator(stiffness=50.0, gap=1.0))
+    distance, phase = nearest(flying, jnp.array([0.0, 0.7]), jnp.asarray(1.0))
+    assert distance == pytest.approx(-0.3, abs=1e-9)
+    assert phase == pytest.approx(np.pi / 2, abs=1e-6)
+    # Before it turns back.
+    distance, _ = nearest(flying, jnp.array([0.0, 0.7]), jnp.asarray(5.0))
+    assert distance == -np.inf
+    # It rests on the stop, by which it is pushed, and rises from it by almost all of its depth.
+    resting = phases_of(oscillator(stiffness=50.0, gap=-1.0))
+    at_rest, swing = -50 / 51, 0.019
+    own = np.sqrt(51.0)
+    distance, phase = nearest(resting, jnp.array([at_rest, swing * own]), jnp.asarray(own))
+    assert distance == pytest.approx(-(at_rest + 1 - swing), abs=1e-9)
+    assert phase == pytest.approx(3 * np.pi / 2, abs=1e-6)
 
 
 def test_more_stretches_than_there_is_room_for_at_once(beam):

@@ -12,12 +12,12 @@ from vibrojax.branches.contacts import (
     in_order,
     is_close,
     is_ordered,
-    pairs,
     same,
     without,
 )
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, at_value
 from vibrojax.steady.curve_programs import ACCURATE, LEAST, LEFT, STRAIGHT
+from vibrojax.steady.orbit_curve import Stride
 
 FREE = Contacts((), 0, 0.0)
 
@@ -102,6 +102,40 @@ class CurveSearch:
         self.asked += len(found)
         return [motion if motion.error <= ACCURATE else None for motion in found]
 
+    def further(
+        self,
+        last: OnCurve,
+        step: float,
+        longest: float,
+        rest: list[OnCurve | None],
+        room: int,
+        bounds: tuple[float, float],
+    ) -> Steps:
+        """Solve for the next motion: that, the end of the range met, and the rest of a stride.
+
+        `rest` are motions behind the last that are solved for already. Where there are none, up to
+        `room` are solved for; what is left of them is worth something only behind the first.
+        """
+        goal, (low, high) = None, bounds
+        one = Stride(last.size, step, longest, low, high, 1)
+        ask = self.ahead(last, step)._replace(stride=one)
+        if not low < ask.parameter < high:
+            goal = high if ask.parameter >= high else low
+            ask, rest, room = self.pinned(last, goal), [], 1
+        if not rest:
+            rest = yield from self.every(ask._replace(stride=one._replace(most=room)))
+        found, *rest = rest
+        if found is not None and not is_ordered(found.contacts, found.times, self.whole):
+            found, rest = (yield from self.swapped(ask, found)), []
+        if found is not None and goal is None and not low <= found.parameter <= high:
+            goal = high if found.parameter > high else low
+            found, rest = (yield from self.solve(self.pinned(last, goal))), []
+        found = None if found is None else self.oriented(found, last)
+        if found is None or not self.comes_next(found, last, step):
+            return None, None, []
+        cut = yield from self.cut_well(found)
+        return cut, goal, rest if cut is found else []
+
     def swapped(self, ask: Ask, found: OnCurve) -> Steps:
         """Solve again where stops change contact in another order; None for one stop."""
         contacts, times = in_order(found.contacts, found.times)
@@ -155,8 +189,7 @@ class CurveSearch:
 
     def without_shallow(self, motion: OnCurve) -> list[tuple[Contacts, np.ndarray]]:
         """Contacts of a motion without one of those that a march may miss."""
-        every = pairs(motion.contacts, motion.times)
-        short = [pair for pair in every if pair.length < self.brief]
+        short = [pair for pair in motion.pairs if pair.length < self.brief]
         return [without(motion.contacts, motion.times, [pair]) for pair in short]
 
     def oriented(self, found: OnCurve, last: OnCurve) -> OnCurve:
@@ -261,7 +294,7 @@ class CurveSearch:
     def _astray(self, motion: OnCurve, seen: Seen) -> int | None:
         """Place of the event ahead of which a march has to begin to meet the contacts; or None."""
         own, met = (motion.contacts, motion.times), (seen.contacts, seen.times)
-        for pair in pairs(*own):
+        for pair in motion.pairs:
             if same(*without(*own, [pair]), *met, self.brief):
                 return pair.places[0]
         if same(*own, *met, np.inf):
@@ -304,5 +337,5 @@ class CurveSearch:
 
 def _durations(a: OnCurve, b: OnCurve) -> list[tuple[tuple[int, int], float, float]]:
     """Places of the contacts of two motions with the same ones, and how long each lasts in both."""
-    both = zip(pairs(a.contacts, a.times), pairs(b.contacts, b.times), strict=True)
+    both = zip(a.pairs, b.pairs, strict=True)
     return [(one.places, one.length, other.length) for one, other in both]

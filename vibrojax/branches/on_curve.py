@@ -1,6 +1,6 @@
 """Motions of a curve as a walk along it knows them: what is asked for, and what was seen."""
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from vibrojax.branches.contacts import Contacts
+from vibrojax.branches.contacts import Contacts, Pair, pairs
 from vibrojax.steady.orbit_curve import Stride
 from vibrojax.stepping.measures import Measures
 
@@ -68,6 +68,11 @@ class OnCurve:
         return int(np.sum(self.moduli > 1))
 
     @cached_property
+    def pairs(self) -> list[Pair]:
+        """Contacts that could vanish at a touch."""
+        return pairs(self.contacts, self.times)
+
+    @cached_property
     def size(self) -> float:
         """Of the state, as a length."""
         return max(float(np.linalg.norm(self.state)), 1e-300)
@@ -109,6 +114,9 @@ class Seen(NamedTuple):
     at_section: Float[np.ndarray, " states"]
     measures: Measures
     """Without events."""
+    nearest: tuple[Sequence[float], Sequence[float]] = ((), ())
+    """How near every stop comes to a change of contact and turns back, m: negative, or -inf; the
+    drive phase there, rad."""
 
 
 class Touch(NamedTuple):

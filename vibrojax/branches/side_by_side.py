@@ -287,8 +287,9 @@ def _seen(
             motion.find_multipliers()  # which another core does meanwhile
         read: Any = marching.columns()
         log = read.measures.events
-        sums = zip(*(column.tolist() for column in read.measures[:-1]), strict=True)
-        for i, measures in zip(range(count), sums, strict=False):
+        sums = zip(*(column.tolist() for column in read.measures[:-2]), strict=True)
+        nearest = zip(*read.measures.nearest.swapaxes(0, 1).tolist(), strict=True)
+        for i, measures, near in zip(range(count), sums, nearest, strict=False):
             number = int(log.number[i])
             kept = min(number, ROOM)
             met = Contacts(
@@ -304,6 +305,7 @@ def _seen(
                     initial_state=np.array(read.initial_state[i]),
                     at_section=np.array(read.at_section[i]),
                     measures=Measures(*measures),
+                    nearest=near,
                 )
             )
     return found

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax.branches.contacts import duration_row, pairs
+from vibrojax.branches.contacts import duration_row
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import OnCurve, Steps, Touch
 
@@ -158,7 +158,7 @@ class Stretch:
 def _changing_most(a: OnCurve, b: OnCurve) -> tuple[int, int] | None:
     """Places of the contact whose duration differs most between two motions; None if by little."""
     ratios = {}
-    for one, other in zip(pairs(a.contacts, a.times), pairs(b.contacts, b.times), strict=True):
+    for one, other in zip(a.pairs, b.pairs, strict=True):
         short, long = sorted((one.length, other.length))
         ratios[one.places] = long / short if short > 0 else 0.0
     most = max(ratios, key=lambda places: ratios[places], default=None)

@@ -13,7 +13,6 @@ from vibrojax.branches.contacts import (
     duration_row,
     is_ordered,
     new_pairs,
-    pairs,
     same,
     with_pairs,
     with_peak,
@@ -60,7 +59,7 @@ class Passed(NamedTuple):
 def closing(last: OnCurve, step: float) -> list[tuple[float, Pair]]:
     """Pairs that may vanish within a step, with the way until then."""
     found = []
-    for pair in pairs(last.contacts, last.times):
+    for pair in last.pairs:
         i, j = pair.places
         lasts = last.times[j] - last.times[i]
         rate = last.times_along[j] - last.times_along[i]
@@ -271,7 +270,7 @@ def by_duration(search: CurveSearch, last: OnCurve, bounds: tuple[float, float])
     Next to touches of stiff stops the curve bends within what no step along it resolves.
     """
     every = []
-    for pair in pairs(last.contacts, last.times):
+    for pair in last.pairs:
         by_times = duration_row(pair.places, len(last.times))
         every.append((float(by_times @ last.times_along) / max(pair.length, 1e-300), by_times))
     every.sort(key=lambda each: -abs(each[0]))

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.branches.contacts import is_ordered
 from vibrojax.branches.continuation import LOOP_POINTS, Ending
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
+from vibrojax.branches.shallow import shallow_contact
 from vibrojax.branches.stretch import Stretch
 from vibrojax.branches.touches import (
     SHARP,
@@ -26,7 +26,6 @@ from vibrojax.branches.touches import (
     touch_between,
     vanish,
 )
-from vibrojax.steady.orbit_curve import Stride
 
 FIRST, SHORTEST = 0.02, 1e-9
 """Steps, in arclength: change of the state over its size, and of the parameter over its scale."""
@@ -89,12 +88,12 @@ class Walk:
             ahead, step, goal = found
             if len(self.points) > reached:
                 tries, reached = 0, len(self.points)
-            count = yield from self.verify(ahead)
-            if isinstance(count, Ending):
-                return count
-            if count < len(ahead):
-                misfit = ahead[count]
-                step += sum(motion.way for motion in ahead[count:])
+            refused = yield from self.verify(ahead)
+            if isinstance(refused, Ending):
+                return refused
+            if refused:
+                misfit = refused[0]
+                step += sum(motion.way for motion in refused)
             elif goal is not None:
                 return Ending.turned_back if goal == begun else Ending.completed
             elif ahead and (len(ahead) == AHEAD or not closing(self.points[-1], step)):
@@ -147,11 +146,13 @@ class Walk:
         """
         ahead: list[OnCurve] = []
         rest: list[OnCurve | None] = []
-        failed, longest = 0, self.longest
+        failed, longest, bounds = 0, self.longest, (self.low, self.high)
         while len(self.points) + len(ahead) < self.max_points:
             last = ahead[-1] if ahead else self.points[-1]
             room = min(AHEAD, self.max_points - len(self.points)) - len(ahead)
-            found, goal, rest = yield from self.further(last, step, longest, rest, room)
+            found, goal, rest = yield from self.search.further(
+                last, step, longest, rest, room, bounds
+            )
             if found is not None:
                 ahead.append(found)
                 step = found.step
@@ -165,7 +166,6 @@ class Walk:
                     return ahead, step, None
                 if step >= SHORTEST:
                     continue
-                bounds = self.low, self.high
                 came = yield from by_duration(self.search, last, bounds)
                 if came is not None:
                     self.add(*came)
@@ -315,15 +315,26 @@ class Walk:
         return self.search.way(last, touch) < 0
 
     def verify(self, ahead: list[OnCurve]) -> Steps:
-        """Take motions that keep to their contacts; returns how many, or that the curve closed."""
+        """Take motions up to one that breaks its contacts; returns the rest, or how the walk ended.
+
+        Where a stop seems to change contact for a little while, motions in between are added.
+        """
         if not ahead:
-            return 0
-        every = yield Look(ahead, self.halfway(ahead) if self.doubled else None)
-        for k, each in enumerate(zip(ahead, every, strict=True)):
-            kept = yield from self.kept(*each)
+            return []
+        every = yield self.look(ahead)
+        rest = list(zip(ahead, every, strict=True))
+        while rest:
+            kept = yield from self.kept(*rest[0])
             if kept is None:
-                return k
+                return [motion for motion, _ in rest]
             motion, seen = kept
+            inside = yield from self.inside_last_cell(motion, seen)
+            if inside is not None and len(self.points) + len(rest) < self.max_points:
+                last = self.points.pop()
+                last = replace(last, way=last.way - inside[0].way)
+                rest[:0] = [inside, (last, self.seen.pop())]
+                continue
+            del rest[0]
             if self.doubled:
                 odd = self.search.unit * seen.initial_state - seen.at_section
                 if float(odd @ (self.odd if self.odd is not None else odd)) < 0:
@@ -333,7 +344,23 @@ class Walk:
             if self.is_closed():
                 self.close()
                 return Ending.closed
-        return len(ahead)
+        return []
+
+    def inside_last_cell(self, motion: OnCurve, seen: Seen) -> Steps:
+        """Look at a motion between the last two points if a stop may change contact there.
+
+        That is judged by the motion behind them, too. Returns it and what was seen, or None.
+        """
+        points, every = [*self.points[-3:], motion], [*self.seen[-3:], seen]
+        found = yield from shallow_contact(self.search, points, every)
+        if found is None:
+            return None
+        (seen,) = yield self.look([found])
+        return found, seen
+
+    def look(self, motions: list[OnCurve]) -> Look:
+        """Ask what a march of motions shows."""
+        return Look(motions, self.halfway(motions) if self.doubled else None)
 
     def kept(self, motion: OnCurve, seen: Seen) -> Steps:
         """A motion that keeps to its contacts, and what was seen of it; None if it breaks them."""
@@ -369,31 +396,3 @@ class Walk:
         near = home < 0.75 * min(np.linalg.norm(gone), self.longest)
         # Who comes by the other way has turned round.
         return bool(near and gone @ self._apart(0, 1) > 0)
-
-    def further(
-        self, last: OnCurve, step: float, longest: float, rest: list[OnCurve | None], room: int
-    ) -> Steps:
-        """Solve for the next motion: that, the end of the range met, and the rest of a stride.
-
-        `rest` are motions behind the last that are solved for already. Where there are none, up to
-        `room` are solved for; what is left of them is worth something only behind the first.
-        """
-        search, goal = self.search, None
-        one = Stride(last.size, step, longest, self.low, self.high, 1)
-        ask = search.ahead(last, step)._replace(stride=one)
-        if not self.low < ask.parameter < self.high:
-            goal = self.high if ask.parameter >= self.high else self.low
-            ask, rest, room = search.pinned(last, goal), [], 1
-        if not rest:
-            rest = yield from search.every(ask._replace(stride=one._replace(most=room)))
-        found, *rest = rest
-        if found is not None and not is_ordered(found.contacts, found.times, search.whole):
-            found, rest = (yield from search.swapped(ask, found)), []
-        if found is not None and goal is None and not self.low <= found.parameter <= self.high:
-            goal = self.high if found.parameter > self.high else self.low
-            found, rest = (yield from search.solve(search.pinned(last, goal))), []
-        found = None if found is None else search.oriented(found, last)
-        if found is None or not search.comes_next(found, last, step):
-            return None, None, []
-        cut = yield from search.cut_well(found)
-        return cut, goal, rest if cut is found else []

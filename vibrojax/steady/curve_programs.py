@@ -145,7 +145,7 @@ def read_on_curve(
     origin = jnp.where(ask.events.section > 0, TURN * period, 0.0)
     initial = state_at(origin) / ask.unit
     far = jnp.full_like(ask.parameter, jnp.inf)
-    ruler = Ruler(jnp.full_like(far, MEASURED), far)
+    ruler = Ruler(jnp.full_like(far, MEASURED), far, nearest=True)
     phases, force = own.tables(ask.parameter, ask.events.section)
     state = ask.state / ask.unit
     _, _, measures = exact_contact.march(phases, force, state, period, ruler=ruler, room=ROOM)

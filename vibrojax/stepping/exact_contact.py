@@ -215,6 +215,9 @@ def enter(
     measures = passed = None
     if loop.gauge is not None:
         measures = no_measures(zero)._replace(events=no_events(phase, room))
+        if loop.gauge.ruler.nearest:
+            nowhere = jnp.zeros((phases.num_stops, *zero.shape))
+            measures = measures._replace(nearest=jnp.stack([nowhere - jnp.inf, nowhere]))
         passed = no_stretches(blocks)
     return Flight(
         blocks, phase, zero, zero + 1, zero, count, count, count, tolerance, measures, passed

@@ -21,7 +21,14 @@ from vibrojax.stepping.cubic import quintic_maximum
 from vibrojax.stepping.elementary import by_halves, computed_once, pick, total, where_needed
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.measures import Measures
-from vibrojax.stepping.signals import Turning, measured_signals, with_derivatives, with_wave
+from vibrojax.stepping.signals import (
+    Signals,
+    Turning,
+    contact_distances,
+    measured_signals,
+    with_derivatives,
+    with_wave,
+)
 from vibrojax.stepping.turns import doubled, product, squares, turn_over, turned
 
 lax = jax.lax
@@ -49,6 +56,8 @@ class Ruler(NamedTuple):
     """Of a quintic, over the amplitudes of what it is put through."""
     longest: Float[Array, "*#lanes"]
     """Longest cell, s."""
+    nearest: bool = False
+    """Whether to measure how near stops come to a change of contact and turn back."""
 
 
 class Stretches(NamedTuple):
@@ -111,6 +120,11 @@ class Gauge:
         self.force, self.turning, self.ruler = force, turning, ruler
         self.grown, self.resonant = grown, resonant
         signals = measured_signals(phases, force)
+        # How far stops are from a change of contact comes first, where it is asked for.
+        self.turning_back = phases.num_stops if ruler.nearest else 0
+        if ruler.nearest:
+            both = zip(contact_distances(phases, force), signals, strict=True)
+            signals = Signals(*(jnp.concatenate(each, axis=1) for each in both))
         self.rows, self.rest = with_derivatives(turning, force, signals), signals.rest
         response = jax.tree.map(lambda a: a[:, RESPONSE : RESPONSE + 1], signals)
         self.higher = with_derivatives(turning, force, response, order=5)[:, :, :, 3:, 0]
@@ -153,8 +167,9 @@ class Gauge:
 
             there = where_needed(self.resonant, push, there)
             integrals, top = once(lambda: self.of_cells(there, phase, cell, tick))
-            counts = live & jnp.concatenate([touching(phase), jnp.ones((2, *live.shape), bool)])
-            higher = counts & (top.value > tops.value)
+            always = jnp.ones((self.turning_back + 2, *live.shape), bool)
+            counts = [always[:-2], touching(phase), always[-2:]]
+            higher = live & jnp.concatenate(counts) & (top.value > tops.value)
             top = top._replace(
                 offset=(k * CELLS + top.offset) * cell, place=jnp.broadcast_to(place, higher.shape)
             )
@@ -174,7 +189,14 @@ class Gauge:
         )
         most = jnp.max(total(passed.groups))
         *_, tops, measures = lax.fori_loop(0, most, some, (none, none, begin, tops, measures))
-        *force, high, low = self.heights(passed, tops, wave_at)
+        nearest, heights = jnp.split(self.heights(passed, tops, wave_at), [self.turning_back])
+        *force, high, low = heights
+        if measures.nearest is not None:
+            k, w = self.turning_back, self.force.angular_frequency
+            time = pick(tops.place[:k], jnp.expand_dims(passed.begun, -1 - self.lanes))
+            angle = jnp.mod(self.force.start_phase + w * (time + tops.offset[:k]), 2 * jnp.pi)
+            new, old = jnp.stack([nearest, angle]), measures.nearest
+            measures = measures._replace(nearest=jnp.where(new[0] > old[0], new, old))
         force = reduce(jnp.maximum, force, jnp.zeros_like(high))
         return measures.reached(high, -low, force, passed.groups[0] > 0)
 
@@ -222,7 +244,8 @@ class Gauge:
         whole, sixth = total(amplitude), total(bends)
         bent = jnp.where(whole > 0, sixth / jnp.where(whole > 0, whole, 1.0), 0.0)
         # What a stop that is not touched would push with does not count.
-        bent = reduce(jnp.maximum, list(jnp.where(touching, bent[:-2], 0.0)), bent[-1])
+        pushes = jnp.where(touching, bent[self.turning_back : -2], 0.0)
+        bent = reduce(jnp.maximum, list(pushes), bent[-1])
         asked = (bent / (QUINTIC * self.ruler.error)) ** (1 / 6)
         asked = duration * jnp.maximum(asked, 1 / self.ruler.longest)
         return jnp.clip(jnp.ceil(asked / CELLS), 1, MOST).astype(jnp.int32)
@@ -265,7 +288,7 @@ class Gauge:
             integral(blocks[1, -1], of_sine),
             integral(blocks[0, -1], of_cosine),
         )
-        return integrals, _highest(scaled)
+        return integrals, _highest(scaled, self.turning_back)
 
 
 class _Tops(NamedTuple):
@@ -279,12 +302,17 @@ class _Tops(NamedTuple):
     place: Int[Array, "kinds *lanes"]
 
 
-def _highest(ends: tuple[Array, ...]) -> _Tops:
-    """Highest places on some cells, from values and derivatives per cell at their ends."""
+def _highest(ends: tuple[Array, ...], turning_back: int) -> _Tops:
+    """Highest places on some cells, from values and derivatives per cell at their ends.
+
+    Of the first signals, as many as `turning_back`, only where they rise before and fall behind.
+    """
     start, end = (tuple(a[which] for a in ends) for which in (slice(None, -1), slice(1, None)))
     inside, place, value = quintic_maximum(start, end)
     first = np.arange(len(value)).reshape((-1,) + (1,) * (value.ndim - 1))
-    cells = _Tops(value, inside, place + first, inside * 0)
+    kind = np.arange(value.shape[1]).reshape((-1,) + (1,) * (value.ndim - 2))
+    counts = ((start[1] >= 0) & (end[1] < 0)) | (kind >= turning_back)
+    cells = _Tops(jnp.where(counts, value, -jnp.inf), inside, place + first, inside * 0)
 
     def higher(one: _Tops, other: _Tops) -> _Tops:
         return jax.tree.map(lambda a, b: jnp.where(other.value > one.value, b, a), one, other)

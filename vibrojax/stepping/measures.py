@@ -76,6 +76,9 @@ class Measures(NamedTuple):
     contacts: Int[Array, "*lanes"]
     events: EventLog | None = None
     """Of steppers that land on every change of contact."""
+    nearest: Float[Array, "2 stops *lanes"] | None = None
+    """How near every stop came to a change of contact and turned back, m: negative, or -inf. Then
+    the drive phase there, rad."""
 
     def add(self, part: Segment, kept: Bool[Array, "*lanes"]) -> "Measures":
         """Add a step where it was kept.

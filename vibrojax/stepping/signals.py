@@ -104,6 +104,18 @@ def contact_signals(phases: ContactPhases, force: Forcing) -> Signals:
     )
 
 
+def contact_distances(phases: ContactPhases, force: Forcing) -> Signals:
+    """How far every stop is from a change of contact, m: positive behind it."""
+    k, read = phases.num_stops, contact_signals(phases, force)
+    touching = (np.arange(2**k)[:, None] >> np.arange(k)) & 1
+
+    def signed(a: Array) -> Array:
+        where = touching.reshape(*touching.shape, *(1,) * (a.ndim - 2))
+        return jnp.where(where, -a[:, -k:], a[:, :k]) if k else a
+
+    return Signals(*map(signed, read))
+
+
 def measured_signals(phases: ContactPhases, force: Forcing) -> Signals:
     """What tops are looked for in: force of every stop, N, the response, m, and its negative."""
     k, lanes = phases.num_stops, force.angular_frequency.ndim
