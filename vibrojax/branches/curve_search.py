@@ -64,6 +64,12 @@ class CurveSearch:
         """Length along the curve at a motion to another that is cut at the same drive phase."""
         return self.along(a, b.state - a.state, b.parameter - a.parameter)
 
+    def is_behind(self, touch: OnCurve, last: OnCurve) -> bool:
+        """Whether a touch at which a contact begins lies behind a point, if only a little."""
+        if touch.family != last.family or touch.contacts != last.contacts:
+            return False
+        return self.way(last, touch) < 0
+
     def apart(self, a: OnCurve, b: OnCurve) -> float:
         """Distance of two motions that are cut at the same drive phase, in arclength."""
         moved = np.linalg.norm(b.state - a.state) / a.size
@@ -178,6 +184,12 @@ class CurveSearch:
     def is_sound(self, found: OnCurve | None) -> bool:
         """Whether a motion was found whose events follow one another."""
         return found is not None and is_ordered(found.contacts, found.times, self.whole)
+
+    def look(self, motions: list[OnCurve], *, halfway: bool) -> Look:
+        """Ask what a march of motions shows, their states half a period behind phase 0 included."""
+        half = self.whole / 2
+        behind = [half + self.whole * (half < m.contacts.section) for m in motions]
+        return Look(motions, behind if halfway else None)
 
     def fits(self, motion: OnCurve, seen: Seen) -> bool:
         """Whether a motion keeps to its contacts; a march may miss the shallowest."""

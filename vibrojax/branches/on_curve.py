@@ -95,6 +95,9 @@ class Ask(NamedTuple):
     """How to go on behind it (`orbit_curve.Stride`): there may be several answers."""
 
 
+Nearness = tuple[Sequence[float], Sequence[float]]
+
+
 class Look(NamedTuple):
     """Motions that are to be marched and measured."""
 
@@ -114,7 +117,7 @@ class Seen(NamedTuple):
     at_section: Float[np.ndarray, " states"]
     measures: Measures
     """Without events."""
-    nearest: tuple[Sequence[float], Sequence[float]] = ((), ())
+    nearest: Nearness = ((), ())
     """How near every stop comes to a change of contact and turns back, m: negative, or -inf; the
     drive phase there, rad."""
 

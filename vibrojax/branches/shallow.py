@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import OnCurve, Seen, Steps
+from vibrojax.branches.on_curve import Nearness, OnCurve, Seen, Steps
 from vibrojax.branches.stretch import Stretch
 
 SHORTEST = 1e-4
@@ -21,14 +21,19 @@ MARGIN = 0.1
 
 
 def shallow_contact(search: CurveSearch, points: list[OnCurve], seen: Sequence[Seen]) -> Steps:
-    """Solve for a motion between the middle two of four points, if a stop may touch there.
+    """Solve for a motion in the last cell but one of some points, if a stop may touch there.
 
     Or if it may leave for a little while. None where nothing says so, or no motion was found.
     """
-    if len(points) < 4 or points[0].family != points[3].family:
+    if len(points) < 3 or len({motion.family for motion in points[-3:]}) > 1:
         return None
-    _, first, last, _ = points
-    share = _share([motion.way for motion in points[1:]], [s.nearest for s in seen])
+    first, last, behind = points[-3:]
+    nearest = [s.nearest for s in seen]
+    if len(points) == 3 or points[0].family != first.family:
+        # Other contacts say nothing of these.
+        unknown = [-math.inf] * len(nearest[0][0])
+        nearest = [(unknown, unknown), *nearest[-3:]]
+    share = _share((first.way, last.way, behind.way), nearest)
     if share is None:
         return None
     stretch = Stretch(search, first, last, None)
@@ -39,16 +44,14 @@ def shallow_contact(search: CurveSearch, points: list[OnCurve], seen: Sequence[S
     return found if 0 < found.way < last.way else None
 
 
-def _share(
-    ways: Sequence[float], nearest: Sequence[tuple[Sequence[float], Sequence[float]]]
-) -> float | None:
+def _share(ways: Sequence[float], nearest: Sequence[Nearness]) -> float | None:
     """Share of the way from the second of four points at which a stop may change contact.
 
-    `nearest` as in `Seen`: how it rises before, and falls behind, says where it would pass zero.
-    What is nearest at another drive phase is something else.
+    How near stops came rises before and falls behind: that says where it would pass zero. What is
+    nearest at another drive phase is something else.
     """
     before, width, behind = ways
-    if min(before, behind) <= 0 or width < SHORTEST:
+    if behind <= 0 or width < SHORTEST:
         return None
     for stop in range(len(nearest[0][0])):
         (a, b, c, d), turned = ([point[k][stop] for point in nearest] for k in (0, 1))

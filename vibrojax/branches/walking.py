@@ -265,11 +265,21 @@ class Walk:
         Where contacts change before that is reached, the way goes on from there.
         """
         place, touch = passed.place, passed.touch
-        while len(self.points) > 1 and self.is_behind(place, self.points[-1]):
+        while len(self.points) > 1 and self.search.is_behind(place, self.points[-1]):
             self.points.pop()
             self.seen.pop()
         if self.landing is not None and self.landing >= len(self.points):
             self.landing = None
+        first = self.behind_last(passed.motions[0])
+        closer = yield from self.closer(first, passed.seen[0], self.max_points - len(passed.seen))
+        if closer and (refused := (yield from self.keep(closer))):
+            if isinstance(refused, Ending):
+                return refused
+            way = sum(motion.way for motion in refused)
+            nearer = yield from self.touch_before(refused[0], refused[0].way, way)
+            if nearer is not None:
+                return (yield from self.take(nearer))
+            self.add(replace(refused[-1], way=way), closer[-1][1])
         *ahead, end = zip(passed.motions, passed.seen, strict=True)
         for k, (motion, seen) in enumerate(ahead):
             if motion is place:
@@ -308,12 +318,6 @@ class Walk:
             return motion
         return replace(motion, way=abs(self.search.way(last, motion)))
 
-    def is_behind(self, touch: OnCurve, last: OnCurve) -> bool:
-        """Whether a touch at which a contact begins lies behind a point, if only a little."""
-        if touch.family != last.family or touch.contacts != last.contacts:
-            return False
-        return self.search.way(last, touch) < 0
-
     def verify(self, ahead: list[OnCurve]) -> Steps:
         """Take motions up to one that breaks its contacts; returns the rest, or how the walk ended.
 
@@ -321,18 +325,19 @@ class Walk:
         """
         if not ahead:
             return []
-        every = yield self.look(ahead)
-        rest = list(zip(ahead, every, strict=True))
+        every = yield self.search.look(ahead, halfway=self.doubled)
+        return (yield from self.keep(list(zip(ahead, every, strict=True))))
+
+    def keep(self, rest: list[tuple[OnCurve, Seen]]) -> Steps:
+        """Take motions that were looked at, as `verify` does."""
         while rest:
             kept = yield from self.kept(*rest[0])
             if kept is None:
                 return [motion for motion, _ in rest]
-            motion, seen = kept
-            inside = yield from self.inside_last_cell(motion, seen)
-            if inside is not None and len(self.points) + len(rest) < self.max_points:
-                last = self.points.pop()
-                last = replace(last, way=last.way - inside[0].way)
-                rest[:0] = [inside, (last, self.seen.pop())]
+            rest[0] = motion, seen = kept
+            closer = yield from self.closer(motion, seen, self.max_points - len(rest))
+            if closer:
+                rest = closer + rest
                 continue
             del rest[0]
             if self.doubled:
@@ -346,21 +351,21 @@ class Walk:
                 return Ending.closed
         return []
 
-    def inside_last_cell(self, motion: OnCurve, seen: Seen) -> Steps:
-        """Look at a motion between the last two points if a stop may change contact there.
+    def closer(self, motion: OnCurve, seen: Seen, most: int) -> Steps:
+        """Look between the last two points if a stop may change contact there, as one behind says.
 
-        That is judged by the motion behind them, too. Returns it and what was seen, or None.
+        Returns the motion there, and the last point, which is taken back; nothing where there are
+        as many points as are allowed.
         """
+        if len(self.points) >= most:
+            return []
         points, every = [*self.points[-3:], motion], [*self.seen[-3:], seen]
         found = yield from shallow_contact(self.search, points, every)
         if found is None:
-            return None
-        (seen,) = yield self.look([found])
-        return found, seen
-
-    def look(self, motions: list[OnCurve]) -> Look:
-        """Ask what a march of motions shows."""
-        return Look(motions, self.halfway(motions) if self.doubled else None)
+            return []
+        (seen,) = yield self.search.look([found], halfway=self.doubled)
+        last = self.points.pop()
+        return [(found, seen), (replace(last, way=last.way - found.way), self.seen.pop())]
 
     def kept(self, motion: OnCurve, seen: Seen) -> Steps:
         """A motion that keeps to its contacts, and what was seen of it; None if it breaks them."""
@@ -379,11 +384,6 @@ class Walk:
         way = self.search.way(last, first)
         if way > 0:
             self.add(replace(first, way=way, family=last.family), self.seen[0])
-
-    def halfway(self, motions: list[OnCurve]) -> list[float]:
-        """Drive phases half a period after phase 0, behind the sections."""
-        half = self.search.whole / 2
-        return [half if half >= m.contacts.section else half + self.search.whole for m in motions]
 
     def is_closed(self) -> bool:
         """Whether the last point is where the walk began."""
