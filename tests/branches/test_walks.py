@@ -261,6 +261,39 @@ def test_a_contact_that_comes_and_goes_within_a_step_is_seen():
         np.testing.assert_allclose(found, [0.7418794, 0.7634518, 0.7635637, 0.7860851], rtol=1e-7)
 
 
+def test_contacts_change_right_behind_a_touch():
+    """The new contact splits into two, which soon are one again."""
+    rig = vj.default_rig(
+        taper=0.9233067383430068,
+        mass_ratio=6.399248880490002,
+        gap=1.3644443874488137e-3,
+        position=0.7429155375013791,
+        stiffness=44790.426840630214,
+        damping=31.797446095470903,
+        damping_ratio=0.05982723502261731,
+        base_amplitude=0.0025891871870465204,
+        num_modes=2,
+    )
+    for step in (0.08, 0.02):
+        branch = vj.continue_response(
+            rig,
+            frequency_ratio=vj.Range(0.65, 0.7),
+            settings=vj.ContinuationSettings(longest_step=step),
+        )
+        points = branch.special_points
+        assert [point.kind for point in points] == [
+            "grazing",
+            "contact_change",
+            "contact_change",
+            "period_doubling",
+        ]
+        found = [point.parameter for point in points]
+        np.testing.assert_allclose(
+            found, [0.69404034, 0.69416361, 0.69419055, 0.69432001], rtol=2e-8
+        )
+        assert all(point.refined for point in points)
+
+
 def test_few_motions_are_solved_for_in_vain():
     """Steps are as long as contacts allow, and no dead end behind a touch is followed far."""
     branch = vj.continue_response(vj.default_rig(num_modes=2), frequency_ratio=vj.Range(0.85, 1.31))

@@ -40,6 +40,10 @@ WITHIN = 1e-5
 """Arclength up to which it is not looked between a touch and its neighbour."""
 
 
+NEARER = 1 / 2, 1 / 4, 1 / 8, 1 / 16
+"""Shares of how long a new contact lasts at which it is looked where there are others."""
+
+
 class Passed(NamedTuple):
     """The way through a touch."""
 
@@ -128,6 +132,26 @@ def _between(search: CurveSearch, first: OnCurve, last: OnCurve, touch: Touch) -
     if abs(search.way(first, last)) <= WITHIN:
         return []
     return (yield from Stretch(search, first, last, touch).next_to_touch())
+
+
+def nearer_to_touch(search: CurveSearch, passed: Passed, seen: Seen | None) -> Steps:
+    """Look for a motion between a touch and the next one behind it, which met other contacts.
+
+    Returns it, and what was seen; None where that met none in the place of the new one, as it is
+    too shallow, or where none is found.
+    """
+    touch, misfit, *_ = passed.motions
+    if seen is None or len(seen.times) < len(misfit.times):
+        return None
+    stretch = Stretch(search, touch, misfit, passed.touch)
+    for share in NEARER:
+        found = yield from stretch.at(share * max(stretch.ends))
+        if found is None:
+            return None
+        (seen,) = yield Look([found])
+        if search.fits(found, seen):
+            return replace(found, family=misfit.family), seen
+    return None
 
 
 def _only_touches(search: CurveSearch, touch: OnCurve, seen: Seen) -> bool:

@@ -23,6 +23,7 @@ from vibrojax.branches.touches import (
     Passed,
     by_duration,
     closing,
+    nearer_to_touch,
     touch_between,
     vanish,
 )
@@ -287,7 +288,8 @@ class Walk:
             else:
                 kept = yield from self.kept(motion, seen)
                 if kept is None:
-                    if touch.entering and k == 1:  # it is that touch again
+                    if touch.entering and k == 1:
+                        end = (yield from nearer_to_touch(self.search, passed, self.refused)) or end
                         break
                     stopped = yield from self.take_sooner(motion, end[0])
                     if stopped is not None:
@@ -359,8 +361,8 @@ class Walk:
         """
         if len(self.points) >= most:
             return []
-        points, every = [*self.points[-3:], motion], [*self.seen[-3:], seen]
-        found = yield from shallow_contact(self.search, points, every)
+        near = [*self.points[-3:], motion], [*self.seen[-3:], seen]
+        found = yield from shallow_contact(self.search, *near)
         if found is None:
             return []
         (seen,) = yield self.search.look([found], halfway=self.doubled)
