@@ -356,8 +356,7 @@ class Walk:
     def closer(self, motion: OnCurve, seen: Seen, most: int) -> Steps:
         """Look between the last two points if a stop may change contact there, as one behind says.
 
-        Returns the motion there, and the last point, which is taken back; nothing where there are
-        as many points as are allowed.
+        Returns it and the last point, taken back; nothing with as many points as are allowed.
         """
         if len(self.points) >= most:
             return []
