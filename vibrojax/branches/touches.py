@@ -134,14 +134,14 @@ def _between(search: CurveSearch, first: OnCurve, last: OnCurve, touch: Touch) -
     return (yield from Stretch(search, first, last, touch).next_to_touch())
 
 
-def nearer_to_touch(search: CurveSearch, passed: Passed, seen: Seen | None) -> Steps:
+def nearer_to_touch(search: CurveSearch, passed: Passed, met: Seen | None) -> Steps:
     """Look for a motion between a touch and the next one behind it, which met other contacts.
 
-    Returns it, and what was seen; None where that met none in the place of the new one, as it is
+    Returns it, and what was seen; None where that `met` none in the place of the new one, as it is
     too shallow, or where none is found.
     """
     touch, misfit, *_ = passed.motions
-    if seen is None or len(seen.times) < len(misfit.times):
+    if met is None or len(met.times) < len(misfit.times):
         return None
     stretch = Stretch(search, touch, misfit, passed.touch)
     for share in NEARER:
