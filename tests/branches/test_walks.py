@@ -163,6 +163,20 @@ def oscillator(damping, tension):
     )
 
 
+def between_stops(beam, stops, base_amplitude, damping_ratio):
+    """A beam of two modes between stops, given by place, gap, stiffness, damping and side."""
+    return vj.ImpactingBeam(
+        beam=beam,
+        stops=tuple(
+            vj.Stop(position=x, gap=gap, law=vj.KelvinVoigt(k, c), side=side)
+            for x, gap, k, c, side in stops
+        ),
+        drive=vj.BaseMotion(amplitude=base_amplitude),
+        damping_ratio=damping_ratio,
+        num_modes=2,
+    )
+
+
 def test_a_force_that_jumps_makes_a_corner():
     bounds = vj.Range(0.8 / TURN, 1.5 / TURN)
     branch = vj.continue_response(oscillator(8.0, tension=False), frequency=bounds)
@@ -218,15 +232,8 @@ def test_touches_of_stiff_stops_where_the_curve_turns_sharply():
         (0.5172418715839191, 1.8184816200270536e-3, 344195.2939165398, 7.690364390375349, -1),
         (0.7615421263512575, 0.8060172454864143e-3, 8706630.726777092, 10.580386319729145, 1),
     )
-    rig = vj.ImpactingBeam(
-        beam=beam,
-        stops=tuple(
-            vj.Stop(position=x, gap=gap, law=vj.KelvinVoigt(k, c), side=side)
-            for x, gap, k, c, side in stops
-        ),
-        drive=vj.BaseMotion(amplitude=0.0013957797161279445),
-        damping_ratio=0.04452370499804419,
-        num_modes=2,
+    rig = between_stops(
+        beam, stops, base_amplitude=0.0013957797161279445, damping_ratio=0.04452370499804419
     )
     branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.6, 1.52))
     assert branch.completed
@@ -241,15 +248,8 @@ def test_a_contact_that_comes_and_goes_within_a_step_is_seen():
         (0.9105999797850765, 6.715837782082608e-4, 6634.320450423437, 8.889424134268985, 1),
         (0.26766511347987587, 9.25795635197384e-05, 186.47771453413668, 44.69499730141473, -1),
     )
-    rig = vj.ImpactingBeam(
-        beam=beam,
-        stops=tuple(
-            vj.Stop(position=x, gap=gap, law=vj.KelvinVoigt(k, c), side=side)
-            for x, gap, k, c, side in stops
-        ),
-        drive=vj.BaseMotion(amplitude=0.008723440501846669),
-        damping_ratio=0.16675051099924043,
-        num_modes=2,
+    rig = between_stops(
+        beam, stops, base_amplitude=0.008723440501846669, damping_ratio=0.16675051099924043
     )
     for step in (0.08, 0.02):
         branch = vj.continue_response(

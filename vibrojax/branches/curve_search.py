@@ -186,10 +186,11 @@ class CurveSearch:
         return found is not None and is_ordered(found.contacts, found.times, self.whole)
 
     def look(self, motions: list[OnCurve], *, halfway: bool) -> Look:
-        """Ask what a march of motions shows, their states half a period behind phase 0 included."""
+        """Ask what a march of motions shows; `halfway` also the states half a period behind 0."""
+        if not halfway:
+            return Look(motions)
         half = self.whole / 2
-        behind = [half + self.whole * (half < m.contacts.section) for m in motions]
-        return Look(motions, behind if halfway else None)
+        return Look(motions, [half + self.whole * (half < m.contacts.section) for m in motions])
 
     def fits(self, motion: OnCurve, seen: Seen) -> bool:
         """Whether a motion keeps to its contacts; a march may miss the shallowest."""

@@ -22,7 +22,7 @@ def columns_of_motions(
     """Return the columns of a branch at motions that were looked at; displacements as ratios."""
     values = np.array([m.parameter for m in motions])
     reference, natural = references(paths, np.full(len(values), lane), values, True)
-    measures = Measures(*np.array([s.measures[:-2] for s in seen]).T)
+    measures = Measures(*np.array([s.measures.sums for s in seen]).T)
     return {
         "values": values,
         "floquet_multipliers": np.array([m.multipliers for m in motions]),

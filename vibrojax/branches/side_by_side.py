@@ -287,7 +287,7 @@ def _seen(
             motion.find_multipliers()  # which another core does meanwhile
         read: Any = marching.columns()
         log = read.measures.events
-        sums = zip(*(column.tolist() for column in read.measures[:-2]), strict=True)
+        sums = zip(*(column.tolist() for column in read.measures.sums), strict=True)
         nearest = zip(*read.measures.nearest.swapaxes(0, 1).tolist(), strict=True)
         for i, measures, near in zip(range(count), sums, nearest, strict=False):
             number = int(log.number[i])

@@ -40,7 +40,7 @@ WITHIN = 1e-5
 """Arclength up to which it is not looked between a touch and its neighbour."""
 
 
-NEARER = 1 / 2, 1 / 4, 1 / 8, 1 / 16
+BEFORE_OTHERS = 1 / 2, 1 / 4, 1 / 8, 1 / 16
 """Shares of how long a new contact lasts at which it is looked where there are others."""
 
 
@@ -144,7 +144,7 @@ def nearer_to_touch(search: CurveSearch, passed: Passed, met: Seen | None) -> St
     if met is None or len(met.times) < len(misfit.times):
         return None
     stretch = Stretch(search, touch, misfit, passed.touch)
-    for share in NEARER:
+    for share in BEFORE_OTHERS:
         found = yield from stretch.at(share * max(stretch.ends))
         if found is None:
             return None

@@ -80,6 +80,11 @@ class Measures(NamedTuple):
     """How near every stop came to a change of contact and turned back, m: negative, or -inf. Then
     the drive phase there, rad."""
 
+    @property
+    def sums(self) -> tuple[Any, ...]:
+        """Without events, and how near stops came."""
+        return self[:-2]
+
     def add(self, part: Segment, kept: Bool[Array, "*lanes"]) -> "Measures":
         """Add a step where it was kept.
 
