@@ -3,6 +3,8 @@
 import dataclasses
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rod import rod
@@ -14,6 +16,8 @@ from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Look, OnCurve, Seen
 from vibrojax.branches.refining import special_points_of
 from vibrojax.branches.walking import Walk
+from vibrojax.steady import paths
+from vibrojax.stepping.contact_phases import contact_phases
 
 TURN = 2 * np.pi
 DATA = Path(__file__).parents[1] / "data"
@@ -305,10 +309,32 @@ def test_a_branch_has_as_many_points_as_are_allowed():
     settings = vj.ContinuationSettings(max_points=12)
     bounds = vj.Range(0.85, 1.31)
     branch = vj.continue_response(
-        vj.default_rig(num_modes=1), frequency_ratio=bounds, settings=settings
+        vj.default_rig(num_modes=2), frequency_ratio=bounds, settings=settings
     )
     assert branch.status == "running"
     assert 10 <= len(branch.values) <= 12
+
+
+def test_ways_along_frequencies_and_wider_gaps_run_the_same_programs():
+    """A branch that begins in contact is reached by opening gaps, which compiles nothing more."""
+    system = vj.default_rig(num_modes=1)
+    path = jax.tree.map(lambda a: np.asarray(a)[None], paths.frequency_path(system, True, True))
+    first, one = np.zeros(1, int), np.ones(1)
+    place = paths.localise(path, first, one, True).place
+    along, wider = (
+        side_by_side.CurveRigs(each, 1).at(first, one) for each in (path, paths.OpenedPath(place))
+    )
+    assert along.kinds == wider.kinds
+    assert jax.tree.structure(along) == jax.tree.structure(wider)
+    # To first order is all there is: gaps change what they change linearly.
+    opening = 1e-4
+    (stop,) = system.stops
+    opened = dataclasses.replace(stop, gap=stop.gap + opening)
+    known = contact_phases(dataclasses.replace(system, stops=(opened,)).equations())
+    local = jax.tree.map(lambda a: jnp.asarray(a[0]), wider.columns())
+    moved = local.phases_at(jnp.asarray(opening))
+    for name in ("rest", "readout_rest", "change_rest", "gap", "readout"):
+        np.testing.assert_allclose(getattr(moved, name), getattr(known, name), 1e-9, 1e-12, name)
 
 
 def test_a_hairpin_within_a_step_is_seen():

@@ -84,17 +84,17 @@ def nearest(phases, state, angular_frequency):
 
 def test_how_near_a_stop_comes_to_a_change_of_contact_in_closed_form(oscillator):
     flying = phases_of(oscillator(stiffness=50.0, gap=1.0))
-    distance, phase = nearest(flying, jnp.array([0.0, 0.7]), jnp.asarray(1.0))
+    distance, phase = nearest(flying, jnp.array([0.0, 0.7]), np.float64(1.0))
     assert distance == pytest.approx(-0.3, abs=1e-9)
     assert phase == pytest.approx(np.pi / 2, abs=1e-6)
     # Before it turns back.
-    distance, _ = nearest(flying, jnp.array([0.0, 0.7]), jnp.asarray(5.0))
+    distance, _ = nearest(flying, jnp.array([0.0, 0.7]), np.float64(5.0))
     assert distance == -np.inf
     # It rests on the stop, by which it is pushed, and rises from it by almost all of its depth.
     resting = phases_of(oscillator(stiffness=50.0, gap=-1.0))
     at_rest, swing = -50 / 51, 0.019
     own = np.sqrt(51.0)
-    distance, phase = nearest(resting, jnp.array([at_rest, swing * own]), jnp.asarray(own))
+    distance, phase = nearest(resting, jnp.array([at_rest, swing * own]), own)
     assert distance == pytest.approx(-(at_rest + 1 - swing), abs=1e-9)
     assert phase == pytest.approx(3 * np.pi / 2, abs=1e-6)
 

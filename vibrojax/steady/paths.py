@@ -52,7 +52,8 @@ class LocalPath(AbstractPath):
     """Derivative of the place; for what does not change, zero."""
     phases: ContactPhases | None
     phases_slope: ContactPhases | None
-    """Derivative of the phases; None where they do not change."""
+    """Derivative of the phases. Along a frequency nothing of them changes: it has the form of that
+    along wider gaps, with zeros, so that both ways share their programs."""
     resonant: bool = eqx.field(static=True)
     """Whether the drive could turn a block at its own frequency: there is one without damping."""
 
@@ -63,8 +64,6 @@ class LocalPath(AbstractPath):
     def phases_at(self, parameter: Float[Array, "..."]) -> ContactPhases:
         """Return the phases of contact (linear stops only)."""
         assert self.phases is not None
-        if self.phases_slope is None:
-            return self.phases
         return _moved(self.phases, self.phases_slope, parameter - self.parameter)
 
     def tables(self, parameter: Float[Array, ""]) -> Tables:
@@ -74,7 +73,10 @@ class LocalPath(AbstractPath):
 
 
 def _moved(tree: Any, slope: Any, way: Array) -> Any:
-    return jax.tree.map(lambda a, b: a + way * b if eqx.is_inexact_array(a) else a, tree, slope)
+    def moved(a, b):
+        return a if b is None or not eqx.is_inexact_array(a) else a + way * b
+
+    return jax.tree.map(moved, tree, slope)
 
 
 class FrequencyPath(AbstractPath):
@@ -163,8 +165,9 @@ def localise(
         place = Place(equations, drive, jnp.asarray(parameter * unit))
         still = jax.tree.map(np.zeros_like, place)
         slope = eqx.tree_at(lambda p: p.angular_frequency, still, np.asarray(unit))
+        none = None if phases is None else jax.tree.map(np.zeros_like, phases).changed_by_gaps()
         resonant = can_resonate(phases)
-        return LocalPath(jnp.asarray(parameter), place, slope, phases, None, resonant)
+        return LocalPath(jnp.asarray(parameter), place, slope, phases, none, resonant)
     paths, parameter = jax.device_get((paths, parameter))
     local = in_batches(
         lambda i: _localise(take(paths, lane[i]), parameter[i], exact), len(lane), TOGETHER
@@ -183,6 +186,8 @@ def _localise(paths: AbstractPath, parameter: Float[AnyArray, " points"], exact:
         fill = lambda a, b: jnp.zeros_like(a) if b is None else b  # noqa: E731
         slope = jax.tree.map(fill, place, slope)
         phases_slope = jax.tree.map(fill, phases, phases_slope) if exact else None
+        if phases_slope is not None and isinstance(path, OpenedPath):
+            phases_slope = phases_slope.changed_by_gaps()
         return LocalPath(p, place, slope, phases, phases_slope, True)
 
     return jax.vmap(one)(paths, parameter)

@@ -83,6 +83,11 @@ class ContactPhases(eqx.Module):
         """How many blocks of two a phase has: half the number of states."""
         return self.rate.shape[1]
 
+    def changed_by_gaps(self) -> "ContactPhases":
+        """Only what gaps change, which they do linearly; None in the place of all else."""
+        changed = self.rest, self.readout_rest, self.change_rest, self.gap
+        return jax.tree.map(lambda a: a if any(a is one for one in changed) else None, self)
+
 
 def contact_phases(equations: LinearEquations) -> ContactPhases:
     """Compute the phases of one lane (the derivation is exact, damping of any kind included).
