@@ -113,7 +113,7 @@ def test_points_are_the_same_however_many_are_solved_for_in_one_call(monkeypatch
     strides = vj.continue_response(system, frequency_ratio=over, settings=settings)
     number = len(calls)
     assert number < len(strides.values) / 2
-    monkeypatch.setattr(side_by_side, "FEW", 0)
+    monkeypatch.setattr(side_by_side, "_width", lambda rows: side_by_side.WIDTH)
     steps = vj.continue_response(system, frequency_ratio=over, settings=settings)
     assert len(calls) - number > len(steps.values)
     np.testing.assert_allclose(strides.values, steps.values, rtol=1e-10)

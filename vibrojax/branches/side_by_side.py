@@ -18,8 +18,9 @@ from vibrojax.steady.orbit_curve import ROOM, Condition, Stride, Try
 from vibrojax.steady.paths import AbstractPath, FrequencyPath, LocalPath, OpenedPath, localise
 from vibrojax.stepping.measures import Measures
 
-WIDTH, FEW = 32, 16
-"""Motions solved for in one call; up to a few go one by one, which compiles nothing more."""
+WIDTH = 32
+"""Motions of lanes side by side solved for in one call; no more than these go one by one, which is
+as fast and compiles nothing more."""
 LOOKED_AT = 16
 """Motions marched in one call."""
 BRIEF, SHARE = 1e-4, 0.02
@@ -193,7 +194,7 @@ def _tries(rigs: CurveRigs, scales: np.ndarray, asks: list[Ask]) -> LaneTable:
 
 
 def _width(rows: int) -> int:
-    return 1 if rows <= FEW else WIDTH
+    return 1 if rows <= WIDTH else WIDTH
 
 
 def _in_parts(rows: int, width: int):

@@ -29,6 +29,9 @@ SAMPLES = 512
 """Samples of a motion per drive period."""
 SETTLED = 1e-4
 """Relative return at which a march is near enough to its limit for Newton's method."""
+LONGEST = 8
+"""Drive periods of the longest motion that is known as periodic: as in sweeps by default, which run
+the same programs then."""
 MOST_PERIODS = 600
 LANES = 32
 """Lanes settled side by side, where there are several: other numbers compile nothing anew."""
@@ -182,7 +185,7 @@ def settled_states(
         np.zeros((lanes, place.equations.state_size)) if starts is None else starts,
         np.asarray(frequency)[:lanes],
         tolerance=1e-6 if exact else 1e-5,
-        max_period=max(period, 4),
+        max_period=max(period, LONGEST),
         max_periods=MOST_PERIODS,
     )
     return came.state, (came.period > 0) & (period % np.maximum(came.period, 1) == 0)
