@@ -15,6 +15,7 @@ from vibrojax.steady.batches import one_or_many, take
 from vibrojax.steady.condensed import cell_average
 from vibrojax.steady.lane_pool import LanePool
 from vibrojax.steady.paths import AbstractPath, FrequencyPath
+from vibrojax.steady.pool_programs import compile_ahead
 from vibrojax.steady.settled import Onwards, Settled
 from vibrojax.stepping.stepper import (
     AbstractMarch,
@@ -63,6 +64,7 @@ def settle(
         nowhere = np.zeros(len(settled.lanes), bool)
         return Onwards(nowhere, np.ones(nowhere.shape), settled.state, ~nowhere)
 
+    compile_ahead(march, len(state), max_period, follow=False)
     rig, none = np.arange(len(state)), np.zeros((0, len(state)))
     LanePool(march, rig, none, tolerance, max_period, max_periods).run(
         state, angular_frequency, last
