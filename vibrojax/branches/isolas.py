@@ -27,7 +27,7 @@ from vibrojax.branches.refining import SOLVED
 from vibrojax.branches.resampling import passages_of, resample
 from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
 from vibrojax.branches.walking import Walk
-from vibrojax.steady.batches import in_batches, take
+from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath, OpenedPath, localise
 from vibrojax.steady.starting import settled_states
 
@@ -35,9 +35,6 @@ PLACES, STARTS = 12, 8
 """Values of the parameter at which it is looked for others, and random starts at each."""
 INSIDE = 1e-3
 """How far the outermost are inside of the range, over it: branches may leave it close by."""
-TOGETHER = 16
-"""Starts marched in one call: programs for more take half a minute to compile, and save tenths of a
-second."""
 LARGEST = 4.0
 """Largest displacement of a start at a stop, over its gap and what the branch reaches."""
 WIDEST = 1.5
@@ -123,11 +120,7 @@ def _settled(
     )
     starts = starts * (wanted / reached[1].max(axis=1))[:, None]
     paths = jax.tree.map(lambda a: np.asarray(a)[lanes], path)
-
-    def settle(i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return settled_states(take(paths, i), values[i], plan.period, True, starts[i])
-
-    settled, good = in_batches(settle, len(values), TOGETHER)
+    settled, good = settled_states(paths, values, plan.period, True, starts)
     return [(float(v), s) for v, s in zip(values[good], settled[good], strict=True)]
 
 

@@ -11,7 +11,7 @@ from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import Harmonic
 from vibrojax.model.first_order import first_order
 from vibrojax.model.systems import Motion
-from vibrojax.steady.batches import one_or_many, take
+from vibrojax.steady.batches import in_batches, one_or_many, take
 from vibrojax.steady.condensed import cell_average
 from vibrojax.steady.lane_pool import LanePool
 from vibrojax.steady.paths import AbstractPath, FrequencyPath
@@ -34,8 +34,9 @@ LONGEST = 8
 """Drive periods of the longest motion that is known as periodic: as in sweeps by default, which run
 the same programs then."""
 MOST_PERIODS = 600
-LANES = 32
-"""Lanes settled side by side, where there are several: other numbers compile nothing anew."""
+TOGETHER = 16
+"""Lanes settled in one call, where there are several: other numbers compile nothing anew, and
+programs for more lanes take half a minute to compile to save tenths of a second."""
 
 
 def stepper(exact: bool) -> AbstractStepper:
@@ -177,14 +178,21 @@ def settled_states(
 
     Returns their states, and which are of the period.
     """
-    lanes = len(values)
-    index = one_or_many(lanes, LANES)
-    paths, values = take(jax.device_get(paths), index), np.asarray(values)[index]
-    place = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take(paths, 0))
-    march, frequency = prepared(paths, jnp.asarray(values), exact)
+    lanes, paths = len(values), jax.device_get(paths)
+    if starts is None:
+        place = jax.eval_shape(lambda p: p.at(jnp.zeros(())), take(paths, 0))
+        starts = np.zeros((lanes, place.equations.state_size))
+    if lanes > TOGETHER:
+
+        def some(i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return settled_states(take(paths, i), values[i], period, exact, starts[i])
+
+        return in_batches(some, lanes, TOGETHER)
+    index = one_or_many(lanes, TOGETHER)
+    march, frequency = prepared(take(paths, index), jnp.asarray(values[index]), exact)
     came = settle(
         march,
-        np.zeros((lanes, place.equations.state_size)) if starts is None else starts,
+        starts,
         np.asarray(frequency)[:lanes],
         tolerance=1e-6 if exact else 1e-5,
         max_period=max(period, LONGEST),
@@ -210,8 +218,12 @@ def settled_guess(
         states, found = settled_states(paths, values, period, exact)
     else:
         states, found = np.broadcast_to(state, (lanes, state.size)), np.ones(lanes, bool)
-    index = one_or_many(lanes, LANES)
-    paths, values = take(jax.device_get(paths), index), np.asarray(values)[index]
-    motion = jnp.asarray(states[index])
-    depth = np.asarray(sampled_depth(paths, values, motion, samples, period, exact))[:lanes]
+    paths = jax.device_get(paths)
+
+    def sampled(i: np.ndarray) -> Complex[Array, "lanes stops harmonics"]:
+        return sampled_depth(
+            take(paths, i), values[i], jnp.asarray(states[i]), samples, period, exact
+        )
+
+    depth = in_batches(sampled, lanes, 1 if lanes == 1 else TOGETHER)
     return depth, found & np.isfinite(depth).all(axis=(1, 2))
