@@ -17,6 +17,7 @@ from vibrojax.branches.on_curve import Look, OnCurve, Seen
 from vibrojax.branches.refining import special_points_of
 from vibrojax.branches.walking import Walk
 from vibrojax.steady import paths
+from vibrojax.steady.curve_programs import LEAST
 from vibrojax.stepping.contact_phases import contact_phases
 
 TURN = 2 * np.pi
@@ -351,6 +352,22 @@ def test_a_hairpin_within_a_step_is_seen():
     assert not search.turns_round(last, motion(0.2, -0.5))
     assert not search.turns_round(last, motion(0.104, -3.0))
     assert search.turns_round(motion(0.2, -1.0), motion(0.1, 3.0))
+
+
+def test_the_shortest_step_is_never_too_long_by_round_off():
+    """A contact may change by any share within it; by how much it is gone is known to round-off."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    known = contacts.Contacts((0, 0), 0, 0.0)
+
+    def motion(way):
+        lasts = np.sqrt(0.1**2 - 60 * way)
+        times, along = np.array([1.0, 1.0 + lasts]), np.array([0.0, -30 / lasts])
+        return OnCurve(known, times, np.ones(2), 1.0, np.ones(2), along, 0.0, np.eye(2), way=way)
+
+    last = motion(0.0)
+    for way in np.nextafter(LEAST, (0.0, LEAST, 1.0)):
+        assert not search.skips(last, motion(float(way)))
+    assert search.skips(last, motion(1.1 * LEAST))
 
 
 def test_a_march_begins_again_where_it_went_astray():

@@ -157,7 +157,7 @@ def test_what_cannot_be_written_is_said():
         source.add_function(function)
         assert words in " ".join(source.missing)
     names = {}
-    exec("def rig():\n    return 1", names)
+    exec(compile("def rig():\n    return 1", "<nowhere>", "exec"), names)
     source = Source()
     source.add_function(names["rig"])
     assert [*source.missing] == ["The text of rig could not be had."]

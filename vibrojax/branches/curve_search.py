@@ -274,7 +274,8 @@ class CurveSearch:
             before, after = (2 * d * rate for d, rate in zip((lasted, lasts), rates, strict=True))
             off = lasts**2 - lasted**2 - found.way * (before + after) / 2
             short, long = sorted((lasted, lasts))
-            if abs(off) > SKIPPED * long**2 or (found.way > LEAST and short < LEFT * long):
+            is_long = found.way > LEAST + ACCURATE  # the shortest are solved for as exactly
+            if abs(off) > SKIPPED * long**2 or (is_long and short < LEFT * long):
                 return True
         return False
 

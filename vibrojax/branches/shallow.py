@@ -8,7 +8,7 @@ from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Nearness, OnCurve, Seen, Steps
 from vibrojax.branches.stretch import Stretch
 
-SHORTEST = 1e-4
+SHORTEST = 0.9e-4
 """Arclength between two points within which it is not looked."""
 MOVED = 0.2
 """Most, rad, that the drive phase at which a stop is nearest differs between neighbours."""
