@@ -27,7 +27,6 @@ from vibrojax.branches.refining import SOLVED
 from vibrojax.branches.resampling import passages_of, resample
 from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
 from vibrojax.branches.walking import Walk
-from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath, OpenedPath, localise
 from vibrojax.steady.starting import settled_states
 
