@@ -420,6 +420,36 @@ def test_a_special_point_whose_motion_breaks_its_contacts_is_unrefined():
     assert special(contacts.Contacts((0, 0), 0, 0.0), np.array([1.0, 1.1])) == ("fold", False)
 
 
+@pytest.mark.parametrize("ways", [[0.0, 1.0], [0.0, 0.5, 1.0], [1.0, 0.0]])
+def test_a_pair_may_pass_the_circle_in_the_step_of_a_doubling(ways):
+    """A multiplier comes in at -1, meets another, and as a pair they go out, all in one step."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    free, times, state = contacts.Contacts((), 0, 0.0), np.zeros(0), np.ones(2)
+    way = np.sign(ways[1] - ways[0])
+
+    def motion(at):
+        trace, determinant = -0.764 - 0.256 * at, -0.4286 + 1.6486 * at
+        matrix = np.array([[0.0, -determinant], [1.0, trace]])
+        gone = abs(at - ways[0]) / (len(ways) - 1)
+        return OnCurve(free, times, state, at, 0 * state, times, way, matrix, error=0.0, way=gone)
+
+    walk = Walk(search, -1.0, 2.0, 0.1, 10, points=[motion(at) for at in ways])
+    steps = special_points_of(walk)
+    request = next(steps)
+    while True:
+        if isinstance(request, Look):
+            answer = [Seen(free, times, True, state, state, None)] * len(request.motions)
+        else:
+            answer = [motion(request.value * way)]
+        try:
+            request = steps.send(answer)
+        except StopIteration as end:
+            found = {special.kind: special.motion.parameter for special in end.value}
+            break
+    doubling, pair = (0.764 + 0.4286 - 1) / 1.3926, 1.4286 / 1.6486
+    assert found == pytest.approx({"period_doubling": doubling, "neimark_sacker": pair}, abs=1e-9)
+
+
 @pytest.mark.slow
 def test_a_branch_that_comes_back_gives_way_to_the_one_from_the_high_end():
     rig = vj.default_rig(stiffness=1e6, base_amplitude=1e-3, num_modes=2)

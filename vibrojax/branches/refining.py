@@ -13,7 +13,7 @@ import numpy as np
 
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
 from vibrojax.branches.special_points import doubling_test, on_circle
-from vibrojax.branches.stretch import Number, Stretch
+from vibrojax.branches.stretch import Number, Root, Stretch
 from vibrojax.branches.walking import Walk
 
 SOLVED = {"fold": 1e-8, "period_doubling": 1e-11, "neimark_sacker": 1e-11}
@@ -48,16 +48,50 @@ def _doubling(motion: OnCurve) -> float:
     return float(doubling_test(motion.multipliers))
 
 
-def _passing(a: OnCurve, b: OnCurve) -> dict[str, Number]:
-    """Numbers that pass zero between two motions, as at special points, by the kind of these."""
-    numbers: dict[str, Number] = {
-        "fold": attrgetter("parameter_along"),
-        "period_doubling": _doubling,
-    }
-    outside = sorted((a.outside, b.outside))
-    if outside[1] - outside[0] >= 2:
-        numbers["neimark_sacker"] = _crossing(outside[0])
-    return {kind: number for kind, number in numbers.items() if number(a) * number(b) < 0}
+class _Node(NamedTuple):
+    """A motion of a cell, by its place there."""
+
+    place: float
+    motion: OnCurve
+    multiplier: float | None = None
+    """On the unit circle, of a fold or a period doubling."""
+
+    @property
+    def outside(self) -> tuple[int, int]:
+        """How many multipliers are outside of the unit circle, next to it on either side."""
+        if self.multiplier is None:
+            return self.motion.outside, self.motion.outside
+        off = np.abs(self.motion.multipliers - self.multiplier)
+        others = np.abs(np.delete(self.motion.multipliers, np.argmin(off)))
+        count = int(np.sum(others > 1))
+        return count, count + 1
+
+
+REAL: dict[str, tuple[float, Number]] = {
+    "fold": (1.0, attrgetter("parameter_along")),
+    "period_doubling": (-1.0, _doubling),
+}
+"""Special points at which one multiplier passes the unit circle: where, and what is zero there."""
+
+
+def _pair_crossing(a: _Node, b: _Node) -> Number | None:
+    """What passes zero where two multipliers pass the unit circle at once, if between two motions.
+
+    That no single one passes it there is known.
+    """
+    fewer, more = sorted((a.outside, b.outside))
+    apart = more[0] - fewer[1]
+    if apart < (2 if a.multiplier is b.multiplier is None else 1):
+        return None
+    number = _crossing(fewer[1])
+    return number if number(a.motion) * number(b.motion) < 0 else None
+
+
+def _is_passed(walk: Walk, k: int) -> bool:
+    """Whether a special point lies behind the point k, as that and the next one say."""
+    a, b = walk.points[k : k + 2]
+    real = any(number(a) * number(b) < 0 for _, number in REAL.values())
+    return real or _pair_crossing(_Node(0.0, a), _Node(1.0, b)) is not None
 
 
 def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
@@ -68,21 +102,9 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
         if walk.is_leap(k):
             found += _leapt_over(walk, k)
             continue
-        first, last = walk.points[k : k + 2]
         doubtful = _doubtful(walk, k)
-        if not doubtful and not _passing(first, last):
-            continue
-        stretch = walk.stretch(k)
-        places = [stretch.place(share) for share in (0.0, *doubtful, 1.0)]
-        motions = yield from stretch.each(places[1:-1])
-        nodes = list(zip(places, [first, *motions, last], strict=True))
-        known = [(place, motion) for place, motion in nodes if motion is not None]
-        for (low, a), (high, b) in pairwise(known):
-            for kind, number in _passing(a, b).items():
-                part = stretch.root(number, SOLVED[kind], (low, number(a)), (high, number(b)))
-                unseen = yield from _refined(walk, k, kind, stretch, part)
-                if unseen is not None:
-                    solved.append(unseen)
+        if doubtful or _is_passed(walk, k):
+            solved += yield from _in_cell(walk, k, doubtful)
     if solved:  # one march of all
         every = yield Look([motion for _, motion, *_ in solved])
         for (kind, motion, k, refined), seen in zip(solved, every, strict=True):
@@ -97,6 +119,40 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
         kind = "contact_change" if touch.stop in point.contacts.stops else "grazing"
         found.append(Special(kind, point, seen, max(touch.at - 1, 0), True))
     return sorted(found, key=lambda special: special.after)
+
+
+def _in_cell(walk: Walk, k: int, doubtful: list[float]) -> Generator[Any, Any, list[Unseen]]:
+    """Solve for the special points behind the point k, looking at some shares of the way too."""
+    stretch, found = walk.stretch(k), list[Unseen]()
+
+    def solve(kind: str, number: Number, a: _Node, b: _Node) -> Steps:
+        """Find one of a kind; returns it as a node if it is solved for."""
+        ends = [(each.place, number(each.motion)) for each in (a, b)]
+        root = yield from stretch.root(number, SOLVED[kind], *ends)
+        unseen = _refined(walk, k, kind, stretch, root)
+        found.extend([unseen] if unseen is not None else [])
+        if unseen is None or root.at_touch or not root.solved:
+            return None
+        return _Node(root.place, root.motion, REAL[kind][0] if kind in REAL else None)
+
+    first, last = walk.points[k : k + 2]
+    places = [stretch.place(share) for share in (0.0, *doubtful, 1.0)]
+    motions = yield from stretch.each(places[1:-1])
+    both = zip(places, [first, *motions, last], strict=True)
+    known = [_Node(place, motion) for place, motion in both if motion is not None]
+    for a, b in pairwise(known):
+        nodes = [a, b]
+        for kind, (_, number) in REAL.items():
+            if number(a.motion) * number(b.motion) < 0:
+                node = yield from solve(kind, number, a, b)
+                nodes += [node] if node is not None else []
+        # A pair may pass the circle in the same step, before or behind.
+        nodes.sort(key=lambda node: abs(node.place - a.place))
+        for ends in pairwise(nodes):
+            number = _pair_crossing(*ends)
+            if number is not None:
+                yield from solve("neimark_sacker", number, *ends)
+    return found
 
 
 def _leapt_over(walk: Walk, k: int) -> list[Special]:
@@ -136,13 +192,10 @@ def _doubtful(walk: Walk, k: int) -> list[float]:
     return sorted(shares)
 
 
-def _refined(
-    walk: Walk, k: int, kind: str, stretch: Stretch, root: Steps
-) -> Generator[Any, Any, Unseen | None]:
-    """Solve for the special point of a kind behind the point k."""
-    found = yield from root
-    motion, refined = found.motion, found.solved
-    if found.at_touch and stretch.touch is not None:
+def _refined(walk: Walk, k: int, kind: str, stretch: Stretch, root: Root) -> Unseen | None:
+    """The special point of a kind behind the point k, from where a number passes zero."""
+    motion, refined = root.motion, root.solved
+    if root.at_touch and stretch.touch is not None:
         if kind != "fold":
             return None  # multipliers jump there
         kind, motion, refined = "touch_fold", walk.points[stretch.touch.at], True
