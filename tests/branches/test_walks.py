@@ -420,6 +420,40 @@ def test_a_special_point_whose_motion_breaks_its_contacts_is_unrefined():
     assert special(contacts.Contacts((0, 0), 0, 0.0), np.array([1.0, 1.1])) == ("fold", False)
 
 
+def specials_of_free(walk, solved):
+    """Special points of a walk without contact, of which `solved` gives the motions asked for."""
+    steps = special_points_of(walk)
+    request = next(steps)
+    while True:
+        if isinstance(request, Look):
+            none = np.zeros(0)
+            seen = Seen(contacts.Contacts((), 0, 0.0), none, True, np.ones(2), np.ones(2), None)
+            answer = [seen] * len(request.motions)
+        else:
+            answer = [solved(request)]
+        try:
+            request = steps.send(answer)
+        except StopIteration as end:
+            return end.value
+
+
+def test_two_folds_of_one_step_are_found():
+    """The parameter has gone back at the next point, with the rate of one that rises."""
+    search = CurveSearch(np.ones(2), 1e6, TURN, smooth=True, brief=1e-4)
+    free, times = contacts.Contacts((), 0, 0.0), np.zeros(0)
+
+    def motion(at, way=0.0):
+        value, rate = at**3 / 3 - at**2 / 2 + 0.16 * at, (at - 0.2) * (at - 0.8)
+        state, along, matrix = np.array([at, 1.0]), np.array([1.0, 0.0]), np.eye(2) / 2
+        return OnCurve(free, times, state, value, along, times, rate, matrix, error=0.0, way=way)
+
+    walk = Walk(search, -9.0, 9.0, 0.1, 10, points=[motion(0.0), motion(1.0, 1.0)])
+    found = specials_of_free(walk, lambda ask: motion(float(ask.value / ask.by_state[0])))
+    assert [special.kind for special in found] == ["fold", "fold"]
+    at = [special.motion.state[0] for special in found]
+    np.testing.assert_allclose(at, [0.2, 0.8], atol=1e-7)
+
+
 @pytest.mark.parametrize("ways", [[0.0, 1.0], [0.0, 0.5, 1.0], [1.0, 0.0]])
 def test_a_pair_may_pass_the_circle_in_the_step_of_a_doubling(ways):
     """A multiplier comes in at -1, meets another, and as a pair they go out, all in one step."""
@@ -434,18 +468,8 @@ def test_a_pair_may_pass_the_circle_in_the_step_of_a_doubling(ways):
         return OnCurve(free, times, state, at, 0 * state, times, way, matrix, error=0.0, way=gone)
 
     walk = Walk(search, -1.0, 2.0, 0.1, 10, points=[motion(at) for at in ways])
-    steps = special_points_of(walk)
-    request = next(steps)
-    while True:
-        if isinstance(request, Look):
-            answer = [Seen(free, times, True, state, state, None)] * len(request.motions)
-        else:
-            answer = [motion(request.value * way)]
-        try:
-            request = steps.send(answer)
-        except StopIteration as end:
-            found = {special.kind: special.motion.parameter for special in end.value}
-            break
+    specials = specials_of_free(walk, lambda ask: motion(ask.value * way))
+    found = {special.kind: special.motion.parameter for special in specials}
     doubling, pair = (0.764 + 0.4286 - 1) / 1.3926, 1.4286 / 1.6486
     assert found == pytest.approx({"period_doubling": doubling, "neimark_sacker": pair}, abs=1e-9)
 

@@ -163,7 +163,7 @@ def _leapt_over(walk: Walk, k: int) -> list[Special]:
 
 
 def _doubtful(walk: Walk, k: int) -> list[float]:
-    """Shares of the way between two points where multipliers may be on the other side."""
+    """Shares of the way between two points where what passes zero may be on the other side."""
     a, b = walk.points[k], walk.points[k + 1]
     first, last, touch = a.moduli, b.moduli, walk.touch_in(k)
     if touch is not None:
@@ -173,10 +173,9 @@ def _doubtful(walk: Walk, k: int) -> list[float]:
             return []
         return sorted(share**2 if touch.entering else 1 - share**2 for share in SHARES)
     before, after = walk.points[max(k - 1, 0)], walk.points[min(k + 2, len(walk.points) - 1)]
-    outside = a.outside
+    shares, outside = set(_between_folds(a, b)), a.outside
     if before.family != a.family or after.family != b.family or outside != b.outside:
-        return []
-    shares = set()
+        return sorted(shares)
     for place in {max(outside - 1, 0), min(outside, len(first) - 1)}:
         # Lines through the neighbours on either side meet where the way may have its turn.
         number, whole = _crossing(place), b.way
@@ -190,6 +189,22 @@ def _doubtful(walk: Walk, k: int) -> list[float]:
         if 0 < meet < whole and (start + rises[0] * meet) * start < 0:
             shares.add(meet / whole)
     return sorted(shares)
+
+
+def _between_folds(a: OnCurve, b: OnCurve) -> list[float]:
+    """Share of the way to the next point where the parameter may go back, with a fold on each side.
+
+    By the cubic that has its values and rates at both.
+    """
+    if not b.way > 0:
+        return []
+    start, end, mean = a.parameter_along, b.parameter_along, (b.parameter - a.parameter) / b.way
+    bend = start + end - 2 * mean
+    if not start * end > 0 or bend * start <= 0:
+        return []
+    share = (2 * start + end - 3 * mean) / (3 * bend)  # where its rate is least
+    least = start - 3 * bend * share**2
+    return [share] if 0 < share < 1 and least * start < 0 else []
 
 
 def _refined(walk: Walk, k: int, kind: str, stretch: Stretch, root: Root) -> Unseen | None:
