@@ -15,6 +15,7 @@ from vibrojax.branches.comparing import COMPARED
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Look, OnCurve, Seen
 from vibrojax.branches.refining import special_points_of
+from vibrojax.branches.stretch import turning_share
 from vibrojax.branches.walking import Walk
 from vibrojax.steady import paths
 from vibrojax.steady.curve_programs import LEAST
@@ -452,6 +453,34 @@ def test_two_folds_of_one_step_are_found():
     assert [special.kind for special in found] == ["fold", "fold"]
     at = [special.motion.state[0] for special in found]
     np.testing.assert_allclose(at, [0.2, 0.8], atol=1e-7)
+
+
+def test_a_multiplier_that_just_passes_the_circle_between_two_points_is_seen():
+    """It is looked where the cubic through four points has its turn, here far from the middle."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    free, times, state = contacts.Contacts((), 0, 0.0), np.zeros(0), np.ones(2)
+
+    def motion(at):
+        matrix = np.diag([-(1.0001 - 0.03 * (at - 1.8) ** 2), 0.3])
+        return OnCurve(free, times, state, at, 0 * state, times, 1.0, matrix, error=0.0, way=1.0)
+
+    walk = Walk(search, -1.0, 4.0, 0.1, 10, points=[motion(float(at)) for at in range(4)])
+    found = specials_of_free(walk, lambda ask: motion(float(ask.value)))
+    assert [special.kind for special in found] == ["period_doubling"] * 2
+    at = [special.motion.parameter for special in found]
+    np.testing.assert_allclose(at, 1.8 + np.array([-1, 1]) * np.sqrt(1e-4 / 0.03), atol=1e-8)
+
+
+def test_where_a_number_turns_by_the_cubic_through_four_points():
+    ways = 0.3, 0.5, 0.2
+    at = np.cumsum([0.0, *ways]) - 0.3
+
+    def number(at):
+        return -((at - 0.1) ** 2) * (1 + at / 4)
+
+    assert turning_share(ways, number(at).tolist()) == pytest.approx(0.2, rel=1e-12)
+    assert turning_share(ways, number(at + 0.2).tolist()) is None
+    assert turning_share(ways, (2.0 * at).tolist()) is None
 
 
 @pytest.mark.parametrize("ways", [[0.0, 1.0], [0.0, 0.5, 1.0], [1.0, 0.0]])

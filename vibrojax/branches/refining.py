@@ -13,7 +13,7 @@ import numpy as np
 
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
 from vibrojax.branches.special_points import doubling_test, on_circle
-from vibrojax.branches.stretch import Number, Root, Stretch
+from vibrojax.branches.stretch import Number, Root, Stretch, turning_share
 from vibrojax.branches.walking import Walk
 
 SOLVED = {"fold": 1e-8, "period_doubling": 1e-11, "neimark_sacker": 1e-11}
@@ -177,17 +177,19 @@ def _doubtful(walk: Walk, k: int) -> list[float]:
     if before.family != a.family or after.family != b.family or outside != b.outside:
         return sorted(shares)
     for place in {max(outside - 1, 0), min(outside, len(first) - 1)}:
-        # Lines through the neighbours on either side meet where the way may have its turn.
-        number, whole = _crossing(place), b.way
-        start, end = number(a), number(b)
+        number, ways = _crossing(place), (a.way, b.way, after.way)
+        values = [number(motion) for motion in (before, a, b, after)]
+        start, end = values[1:3]
         if not a.way or not after.way or not start * end > 0:
             continue
-        rises = (start - number(before)) / a.way, (number(after) - end) / after.way
+        # Lines through the neighbours on either side meet beyond its turn.
+        rises = (start - values[0]) / a.way, (values[3] - end) / after.way
         if rises[0] == rises[1]:
             continue
-        meet = (end - start - rises[1] * whole) / (rises[0] - rises[1])
-        if 0 < meet < whole and (start + rises[0] * meet) * start < 0:
-            shares.add(meet / whole)
+        meet = (end - start - rises[1] * b.way) / (rises[0] - rises[1])
+        if 0 < meet < b.way and (start + rises[0] * meet) * start < 0:
+            turn = turning_share(ways, values)
+            shares.add(meet / b.way if turn is None else turn)
     return sorted(shares)
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Nearness, OnCurve, Seen, Steps
-from vibrojax.branches.stretch import Stretch
+from vibrojax.branches.stretch import Stretch, turning_share
 
 SHORTEST = 0.9e-4
 """Arclength between two points within which it is not looked."""
@@ -63,7 +63,8 @@ def _share(ways: Sequence[float], nearest: Sequence[Nearness]) -> float | None:
         if -math.inf < d < c and _is_same(*turned[2:]):
             end = c / (d - c) * behind / width
         if begin + end < 1 + APART:
-            share = (begin + 1 - end) / 2
+            turn = turning_share(ways, (a, b, c, d)) if _is_same(*turned[1:3]) else None
+            share = (begin + 1 - end) / 2 if turn is None else turn
         elif min(begin, end) < SOON:
             share = 2 * begin if begin < end else 1 - 2 * end
         elif min(begin, end) < 1 and not (_is_same(*turned[1:3]) and (b < c) == (begin < end)):

@@ -177,6 +177,26 @@ def _where_turning(nodes: dict[float, OnCurve]) -> list[float]:
     return found
 
 
+def turning_share(ways: Sequence[float], values: Sequence[float]) -> float | None:
+    """Share of the way from the second of four points to the third at which a number turns round.
+
+    By the cubic through all; `ways` are those between them. None where it turns elsewhere.
+    """
+    before, width, _ = ways
+    if not min(ways) > 0:
+        return None
+    shares = (np.cumsum([0.0, *ways]) - before) / width
+    _, slope, bend, change = np.linalg.solve(np.vander(shares, increasing=True), values)
+    inner = bend**2 - 3 * slope * change
+    if inner < 0:
+        return None
+    both = -(bend + np.copysign(np.sqrt(inner), bend))
+    with np.errstate(divide="ignore", invalid="ignore"):  # it may be a parabola or a line
+        turns = np.array([slope / both, both / (3 * change)])
+    inside = turns[(turns > 0) & (turns < 1)]
+    return float(inside[0]) if len(inside) == 1 else None
+
+
 class Root(NamedTuple):
     """Where a number of motions passes zero."""
 
