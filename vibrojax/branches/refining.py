@@ -131,7 +131,7 @@ def _in_cell(walk: Walk, k: int, doubtful: list[float]) -> Generator[Any, Any, l
         root = yield from stretch.root(number, SOLVED[kind], *ends)
         unseen = _refined(walk, k, kind, stretch, root)
         found.extend([unseen] if unseen is not None else [])
-        if unseen is None or root.at_touch or not root.solved:
+        if unseen is None or root.motion is None or root.at_touch or not root.solved:
             return None
         return _Node(root.place, root.motion, REAL[kind][0] if kind in REAL else None)
 
