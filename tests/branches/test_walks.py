@@ -498,9 +498,11 @@ def test_a_pair_may_pass_the_circle_in_the_step_of_a_doubling(ways):
 
     walk = Walk(search, -1.0, 2.0, 0.1, 10, points=[motion(at) for at in ways])
     specials = specials_of_free(walk, lambda ask: motion(ask.value * way))
-    found = {special.kind: special.motion.parameter for special in specials}
     doubling, pair = (0.764 + 0.4286 - 1) / 1.3926, 1.4286 / 1.6486
-    assert found == pytest.approx({"period_doubling": doubling, "neimark_sacker": pair}, abs=1e-9)
+    wanted = {"period_doubling": doubling, "neimark_sacker": pair}
+    assert [special.kind for special in specials] == [*wanted][:: int(way)]  # as they are passed
+    found = {special.kind: special.motion.parameter for special in specials}
+    assert found == pytest.approx(wanted, abs=1e-9)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ smooth: a special point is where one number passes zero.
 
 from collections.abc import Generator
 from itertools import pairwise
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -123,14 +123,15 @@ def special_points_of(walk: Walk) -> Generator[Any, Any, list[Special]]:
 
 def _in_cell(walk: Walk, k: int, doubtful: list[float]) -> Generator[Any, Any, list[Unseen]]:
     """Solve for the special points behind the point k, looking at some shares of the way too."""
-    stretch, found = walk.stretch(k), list[Unseen]()
+    stretch, found = walk.stretch(k), list[tuple[float, Unseen]]()
 
     def solve(kind: str, number: Number, a: _Node, b: _Node) -> Steps:
         """Find one of a kind; returns it as a node if it is solved for."""
         ends = [(each.place, number(each.motion)) for each in (a, b)]
         root = yield from stretch.root(number, SOLVED[kind], *ends)
         unseen = _refined(walk, k, kind, stretch, root)
-        found.extend([unseen] if unseen is not None else [])
+        if unseen is not None:
+            found.append((abs(root.place - places[0]), unseen))
         if unseen is None or root.motion is None or root.at_touch or not root.solved:
             return None
         return _Node(root.place, root.motion, REAL[kind][0] if kind in REAL else None)
@@ -152,7 +153,7 @@ def _in_cell(walk: Walk, k: int, doubtful: list[float]) -> Generator[Any, Any, l
             number = _pair_crossing(*ends)
             if number is not None:
                 yield from solve("neimark_sacker", number, *ends)
-    return found
+    return [unseen for _, unseen in sorted(found, key=itemgetter(0))]
 
 
 def _leapt_over(walk: Walk, k: int) -> list[Special]:
