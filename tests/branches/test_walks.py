@@ -397,6 +397,24 @@ def test_a_march_begins_again_where_it_went_astray():
     assert begins(twice, times + 1e-3, fits=False) is None
 
 
+def test_a_contact_too_shallow_for_a_march_is_one_that_it_went_through():
+    """Its depth is above zero where the march saw none, however long that lasts."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    twice, once = (contacts.Contacts((0, 0) * k, 0, 0.5) for k in (2, 1))
+    times = np.array([1.0, 1.2, 3.0, 3.0003])
+    motion = OnCurve(twice, times, np.ones(2), 1.0, np.ones(2), 0 * times, 0.0, np.eye(2))
+
+    def fits(depth, angle):
+        near = [depth], [angle]
+        return search.fits(motion, Seen(once, times[:2], True, np.ones(2), np.ones(2), None, near))
+
+    assert fits(1e-13, 3.00015)
+    assert fits(1e-13, 3.00015 + TURN)
+    assert not fits(-1e-13, 3.00015)
+    assert not fits(1e-13, 2.9)
+    assert not search.fits(motion, Seen(once, times[:2], True, np.ones(2), np.ones(2), None))
+
+
 def test_a_special_point_whose_motion_breaks_its_contacts_is_unrefined():
     """The motions on either side keep to theirs: there is more in between than was found."""
     search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)

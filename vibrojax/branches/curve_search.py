@@ -1,5 +1,6 @@
 """Searches for motions of a curve, each from one that is known."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,6 +8,7 @@ from jaxtyping import Float
 
 from vibrojax.branches.contacts import (
     Contacts,
+    Pair,
     at_section,
     best_section,
     in_order,
@@ -197,13 +199,23 @@ class CurveSearch:
         if not seen.fits:
             return False
         met = seen.contacts, seen.times
-        every = [(motion.contacts, motion.times), *self.without_shallow(motion)]
+        every = [(motion.contacts, motion.times), *self.without_shallow(motion, seen)]
         return any(same(*own, *met, self.brief) for own in every)
 
-    def without_shallow(self, motion: OnCurve) -> list[tuple[Contacts, np.ndarray]]:
+    def without_shallow(
+        self, motion: OnCurve, seen: Seen
+    ) -> list[tuple[Contacts, Float[np.ndarray, " others"]]]:
         """Contacts of a motion without one of those that a march may miss."""
-        short = [pair for pair in motion.pairs if pair.length < self.brief]
-        return [without(motion.contacts, motion.times, [pair]) for pair in short]
+        missed = [p for p in motion.pairs if p.length < self.brief or self.is_too_shallow(p, seen)]
+        return [without(motion.contacts, motion.times, [pair]) for pair in missed]
+
+    def is_too_shallow(self, pair: Pair, seen: Seen) -> bool:
+        """Whether a march went through a contact, but by too little to count it."""
+        heights, angles = seen.nearest
+        if not (pair.stop < len(heights) and heights[pair.stop] > 0):
+            return False
+        off = math.remainder(angles[pair.stop] - pair.middle, self.whole)
+        return abs(off) < pair.length / 2
 
     def oriented(self, found: OnCurve, last: OnCurve) -> OnCurve:
         """The motion with the direction in which the curve was followed to it."""

@@ -118,8 +118,10 @@ class Seen(NamedTuple):
     measures: Measures
     """Without events."""
     nearest: Nearness = ((), ())
-    """How near every stop comes to a change of contact and turns back, m: negative, or -inf; the
-    drive phase there, rad."""
+    """How near every stop comes to a change of contact and turns back, m; the drive phase, rad.
+
+    Negative, or -inf; above zero where the change is too shallow for the march to count it.
+    """
 
 
 class Touch(NamedTuple):

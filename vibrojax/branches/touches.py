@@ -212,7 +212,7 @@ def _met_beyond(search: CurveSearch, motion: OnCurve, seen: Seen) -> list[Pair] 
     """Pairs that a march of a motion met beyond its own."""
     if not seen.fits:
         return None
-    for own in [(motion.contacts, motion.times), *search.without_shallow(motion)]:
+    for own in [(motion.contacts, motion.times), *search.without_shallow(motion, seen)]:
         extra = new_pairs(*own, seen.contacts, seen.times)
         if extra:
             return extra
