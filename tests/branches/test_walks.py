@@ -12,7 +12,9 @@ from rod import rod
 import vibrojax as vj
 from vibrojax.branches import contacts, side_by_side, walking, what_follows
 from vibrojax.branches.comparing import COMPARED
+from vibrojax.branches.continuation import Ending
 from vibrojax.branches.curve_search import CurveSearch
+from vibrojax.branches.exact_branches import crowded
 from vibrojax.branches.on_curve import Look, OnCurve, Seen
 from vibrojax.branches.refining import special_points_of
 from vibrojax.branches.stretch import turning_share
@@ -521,6 +523,20 @@ def test_a_pair_may_pass_the_circle_in_the_step_of_a_doubling(ways):
     assert [special.kind for special in specials] == [*wanted][:: int(way)]  # as they are passed
     found = {special.kind: special.motion.parameter for special in specials}
     assert found == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_walk_that_ends_at_as_many_contacts_as_it_has_room_for_says_so():
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+
+    def walk(events):
+        times, known = np.linspace(0.1, 6.0, events), contacts.Contacts((0,) * events, 0, 0.0)
+        last = OnCurve(known, times, np.ones(2), 1.0, np.ones(2), 0 * times, 1.0, np.eye(2))
+        return Walk(search, 0.0, 2.0, 0.1, 10, points=[last])
+
+    assert "64 contacts in its period" in crowded(walk(128), Ending.stuck)
+    assert crowded(walk(128), Ending.completed) == crowded(walk(126), Ending.stuck) == ""
+    empty = dataclasses.replace(walk(2), points=[])
+    assert crowded(empty, Ending.stuck) == ""
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from vibrojax.branches.refining import Special, special_points_of
 from vibrojax.branches.side_by_side import CurveRigs, Job, compile_ahead, run_together
 from vibrojax.branches.walking import Walk
 from vibrojax.steady.batches import take
+from vibrojax.steady.orbit_curve import ROOM
 from vibrojax.steady.paths import AbstractPath, OpenedPath, localise
 from vibrojax.steady.starting import settled_states
 
@@ -225,6 +226,13 @@ def _leapt(found: list[Special]) -> str:
     return f" Changes of contact were leapt over {count} times." if count else ""
 
 
+def crowded(walk: Walk, ending: Ending) -> str:
+    """What a result says of a walk that ended at as many contacts as it has room for."""
+    if ending is not Ending.stuck or not walk.points or len(walk.points[-1].times) < ROOM:
+        return ""
+    return f" Its last motion has {ROOM // 2} contacts in its period, as many as can be followed."
+
+
 def _results(
     plan: Plan,
     rigs: CurveRigs,
@@ -249,7 +257,7 @@ def _results(
                 k,
                 take(rigs.paths, np.array([k])),
                 endings[k],
-                notes[k] + _leapt(special[k]),
+                notes[k] + crowded(walk, endings[k]) + _leapt(special[k]),
                 columns,
                 special_results(rigs.paths, k, special[k], plan.period),
                 ticks=walk.search.asked,
