@@ -202,6 +202,10 @@ class CurveSearch:
         every = [(motion.contacts, motion.times), *self.without_shallow(motion, seen)]
         return any(same(*own, *met, self.brief) for own in every)
 
+    def met_others(self, motion: OnCurve, seen: Seen) -> bool:
+        """Whether a march met other contacts in the place of a motion's own, not just fewer."""
+        return seen.fits and len(seen.times) >= len(motion.times) and not self.fits(motion, seen)
+
     def without_shallow(
         self, motion: OnCurve, seen: Seen
     ) -> list[tuple[Contacts, Float[np.ndarray, " others"]]]:

@@ -40,10 +40,6 @@ WITHIN = 1e-5
 """Arclength up to which it is not looked between a touch and its neighbour."""
 
 
-BEFORE_OTHERS = 1 / 2, 1 / 4, 1 / 8, 1 / 16
-"""Shares of how long a new contact lasts at which it is looked where there are others."""
-
-
 class Passed(NamedTuple):
     """The way through a touch."""
 
@@ -134,26 +130,6 @@ def _between(search: CurveSearch, first: OnCurve, last: OnCurve, touch: Touch) -
     return (yield from Stretch(search, first, last, touch).next_to_touch())
 
 
-def nearer_to_touch(search: CurveSearch, passed: Passed, met: Seen | None) -> Steps:
-    """Look for a motion between a touch and the next one behind it, which met other contacts.
-
-    Returns it, and what was seen; None where that `met` none in the place of the new one, as it is
-    too shallow, or where none is found.
-    """
-    touch, misfit, *_ = passed.motions
-    if met is None or len(met.times) < len(misfit.times):
-        return None
-    stretch = Stretch(search, touch, misfit, passed.touch)
-    for share in BEFORE_OTHERS:
-        found = yield from stretch.at(share * max(stretch.ends))
-        if found is None:
-            return None
-        (seen,) = yield Look([found])
-        if search.fits(found, seen):
-            return replace(found, family=misfit.family), seen
-    return None
-
-
 def _only_touches(search: CurveSearch, touch: OnCurve, seen: Seen) -> bool:
     """Whether a motion keeps to its contacts, but for those that it just touches."""
     if not seen.fits:
@@ -236,7 +212,10 @@ def _enter(
     apart: float,
     bounds: tuple[float, float],
 ) -> Steps:
-    """Go beyond a touch, to a motion with the new contacts."""
+    """Go beyond a touch, to a motion with the new contacts.
+
+    If there is one, not so far that contacts change in between: they may be the same again there.
+    """
     touch = replace(touch, family=last.family, way=abs(new[0][0]))
     ends = np.concatenate(
         [[touch.contacts.section], touch.times, [touch.contacts.section + search.whole]]
@@ -244,6 +223,7 @@ def _enter(
     room = min(float(np.min(np.abs(ends - angle))) for _, _, angle, _ in new)
     lasts = [np.sqrt(8 * abs(t.height_along / t.bend)) for *_, t in new]
     first = min(lasts[0] * np.sqrt(max(apart, LEAST_WAY)), 0.5 * room, LONGEST_TOUCH)
+    farthest = None
     for _ in range(30):
         way = (first / lasts[0]) ** 2 if lasts[0] > 0 else 0.0
         way = min(way, max(apart, LEAST_WAY))
@@ -283,9 +263,11 @@ def _enter(
                 motions = [touch, *between, found]
                 seen = yield Look(motions)
                 if search.fits(found, seen[-1]):
-                    return Passed(motions, seen, passed)
+                    farthest = farthest or Passed(motions, seen, passed)
+                    if not any(map(search.met_others, motions[1:-1], seen[1:-1])):
+                        return Passed(motions, seen, passed)
         first *= 0.4
-    return None
+    return farthest
 
 
 def by_duration(search: CurveSearch, last: OnCurve, bounds: tuple[float, float]) -> Steps:

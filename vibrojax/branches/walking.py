@@ -23,7 +23,6 @@ from vibrojax.branches.touches import (
     Passed,
     by_duration,
     closing,
-    nearer_to_touch,
     touch_between,
     vanish,
 )
@@ -289,7 +288,6 @@ class Walk:
                 kept = yield from self.kept(motion, seen)
                 if kept is None:
                     if touch.entering and k == 1:
-                        end = (yield from nearer_to_touch(self.search, passed, self.refused)) or end
                         break
                     stopped = yield from self.take_sooner(motion, end[0])
                     if stopped is not None:
