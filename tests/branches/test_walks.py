@@ -269,6 +269,24 @@ def test_a_contact_that_comes_and_goes_within_a_step_is_seen():
         np.testing.assert_allclose(found, [0.7418794, 0.7634518, 0.7635637, 0.7860851], rtol=1e-7)
 
 
+def test_a_contact_that_splits_and_joins_again_behind_a_touch_is_not_jumped_over():
+    """Its contacts are the same again 1.2e-3 behind the touch; however wide the range is."""
+    beam = vj.default_rig(taper=0.20038074518019924, mass_ratio=9.592369958777931).beam
+    stops = (
+        (0.7026088021970014, 1.3467588920225216e-3, 26256.126670843212, 9.16320203638969, -1),
+        (0.8584461320316132, 7.987353415110699e-06, 13554.66279999178, 15.036767732017358, 1),
+    )
+    rig = between_stops(
+        beam, stops, base_amplitude=0.001551289220005762, damping_ratio=0.13635485654160595
+    )
+    for bounds in (vj.Range(1.2, 1.3), vj.Range(1.24, 1.25)):
+        branch = vj.continue_response(rig, frequency_ratio=bounds)
+        assert all(point.refined for point in branch.special_points)
+        found = [point.parameter for point in branch.special_points]
+        wanted = [1.24465491, 1.24526773, 1.2452751, 1.2453396, 1.24603307, 1.24611115]
+        np.testing.assert_allclose(found, wanted, rtol=1e-8)
+
+
 def test_contacts_change_right_behind_a_touch():
     """The new contact splits into two, which soon are one again."""
     rig = vj.default_rig(

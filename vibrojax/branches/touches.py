@@ -20,7 +20,7 @@ from vibrojax.branches.contacts import (
 )
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch
-from vibrojax.branches.stretch import Stretch
+from vibrojax.branches.stretch import NEXT_TO_TOUCH, Stretch
 
 CLOSES = 0.3
 """Share of its duration that is left to a pair at the next step, where it may vanish."""
@@ -264,7 +264,8 @@ def _enter(
                 seen = yield Look(motions)
                 if search.fits(found, seen[-1]):
                     farthest = farthest or Passed(motions, seen, passed)
-                    if not any(map(search.met_others, motions[1:-1], seen[1:-1])):
+                    is_whole = abs(gone) <= WITHIN or len(between) >= len(NEXT_TO_TOUCH)
+                    if is_whole and not any(map(search.met_others, between, seen[1:-1])):
                         return Passed(motions, seen, passed)
         first *= 0.4
     return farthest
