@@ -15,7 +15,7 @@ from vibrojax.branches.comparing import COMPARED
 from vibrojax.branches.continuation import Ending
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.exact_branches import crowded
-from vibrojax.branches.on_curve import Look, OnCurve, Seen
+from vibrojax.branches.on_curve import Look, OnCurve, Seen, Touch
 from vibrojax.branches.refining import special_points_of
 from vibrojax.branches.stretch import turning_share
 from vibrojax.branches.walking import Walk
@@ -507,6 +507,44 @@ def test_a_multiplier_that_just_passes_the_circle_between_two_points_is_seen():
     assert [special.kind for special in found] == ["period_doubling"] * 2
     at = [special.motion.parameter for special in found]
     np.testing.assert_allclose(at, 1.8 + np.array([-1, 1]) * np.sqrt(1e-4 / 0.03), atol=1e-8)
+
+
+def test_a_pair_that_leaves_the_circle_and_returns_right_behind_a_touch_is_seen():
+    """Multipliers change with the duration of the new contact, and are back at the next point."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    free, state, lasting = contacts.Contacts((), 0, 0.0), np.ones(2), 0.1
+    turned = np.array([[np.cos(1), -np.sin(1)], [np.sin(1), np.cos(1)]])
+
+    def motion(lasts):
+        share = lasts / lasting
+        times = np.array([2.0 - lasts / 2, 2.0 + lasts / 2])[: 2 * (lasts > 0)]
+        known = free._replace(stops=(0,) * len(times))
+        along = np.array([-1.0, 1.0])[: len(times)]
+        matrix = turned * (0.88 + 0.668 * share - 0.6 * share**2)
+        value = 1.0 + 1e-3 * share**2
+        return OnCurve(
+            known, times, state, value, 0 * state, along, 1.0, matrix, error=0.0, way=1e-3
+        )
+
+    ahead = dataclasses.replace(motion(0.0), parameter=0.999)
+    behind = dataclasses.replace(motion(lasting), family=1)
+    walk = Walk(search, 0.0, 2.0, 0.1, 10, points=[ahead, motion(0.0), behind])
+    walk.seen = [Seen(free, np.zeros(0), True, state, state, None)] * 3
+    walk.touches = [Touch(1, True, (0, 1), 0)]
+    steps, request = special_points_of(walk), None
+    while True:
+        try:
+            request = steps.send(request)
+        except StopIteration as end:
+            found = [(special.kind, special.motion.times) for special in end.value]
+            break
+        if isinstance(request, Look):
+            request = [Seen(m.contacts, m.times, True, state, state, None) for m in request.motions]
+        else:
+            request = [motion(float(request.value))]
+    assert [kind for kind, _ in found] == ["grazing", "neimark_sacker", "neimark_sacker"]
+    lasts = [np.diff(times)[0] / lasting for _, times in found[1:]]
+    np.testing.assert_allclose(lasts, np.sort(np.roots([0.6, -0.668, 0.12])), rtol=1e-8)
 
 
 def test_where_a_number_turns_by_the_cubic_through_four_points():

@@ -19,9 +19,9 @@ from vibrojax.branches.walking import Walk
 SOLVED = {"fold": 1e-8, "period_doubling": 1e-11, "neimark_sacker": 1e-11}
 """How near to zero a number is to come, over its size next to it; a fold is flat."""
 NEAR_CIRCLE = 1e-3
-SHARES, MOVED = (1 / 8, 1 / 4, 1 / 2), 0.3
+SHARES, MOVED, NEAR = (1 / 8, 1 / 4, 1 / 2), 0.3, 0.2
 """Where it is looked next to a touch, over the duration of the contact at the next point, if sizes
-of multipliers change by so much until then."""
+of multipliers change by so much until then, or if one is so near to 1."""
 
 
 class Special(NamedTuple):
@@ -170,7 +170,8 @@ def _doubtful(walk: Walk, k: int) -> list[float]:
     if touch is not None:
         # Next to a touch they change with the root of the way: they may have come and gone.
         moved = np.abs(first - last)[np.maximum(first, last) > 0.5]
-        if not (moved > MOVED).any():
+        near = np.abs(np.concatenate([first, last]) - 1) < NEAR
+        if not (near.any() or (moved > MOVED).any()):
             return []
         return sorted(share**2 if touch.entering else 1 - share**2 for share in SHARES)
     before, after = walk.points[max(k - 1, 0)], walk.points[min(k + 2, len(walk.points) - 1)]
