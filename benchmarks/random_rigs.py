@@ -8,6 +8,11 @@ Taper 0 to 0.95, mass ratio 0 to 10, damping ratio 0 to 0.2, base motion 1e-6 to
 ratio 0.6 to 2. Every number of modes and stops is compiled once: `--modes` and `--stops` choose
 some of them, and `--only` goes through those of the rigs that have so many modes. The file is
 written after each rig, and rigs that are in it already are not run again.
+
+    python benchmarks/random_rigs.py --rigs 60 --modes 1 2 --stops 1 2 --steps 0.08 0.03
+
+With `--steps` only branches are followed, in steps of up to these, and their lists of special
+points compared, as well as with that of the rig whose numbers differ by round-off.
 """
 
 import argparse
@@ -22,6 +27,7 @@ from typing import Any
 import numpy as np
 
 import vibrojax as vj
+from vibrojax.branches import SpecialPoint
 
 BOUNDS = vj.Range(0.6, 2.0)
 RATIOS = np.linspace(0.6, 2.0, 20)
@@ -130,6 +136,53 @@ def measure(make: Callable[..., vj.ImpactingBeam], numbers: dict[str, float]) ->
     return row
 
 
+def differing(
+    one: tuple[SpecialPoint, ...], other: tuple[SpecialPoint, ...]
+) -> list[tuple[str, float]]:
+    """Kinds and places of the special points of one of two branches that the other lacks."""
+    found = []
+    for own, others in ((one, other), (other, one)):
+        left = list(others)
+        for point in own:
+            same = [
+                each
+                for each in left
+                if each.kind == point.kind and abs(each.parameter / point.parameter - 1) < 1e-7
+            ]
+            if same:
+                left.remove(same[0])
+            else:
+                found.append((point.kind, point.parameter))
+    return found
+
+
+def compare_lists(
+    rigs: list[tuple[int, int, dict[str, float]]], chosen: list[int], steps: list[float]
+) -> None:
+    """Follow branches in several steps, and say whose special points differ."""
+    different = total = unrefined = 0
+    for k in chosen:
+        modes, stops, numbers = rigs[k]
+        make = maker(modes, stops)
+        moved = numbers | {name: numbers[name] * (1 + 3e-16) for name in ("taper", "gap_0")}
+        cases = [(numbers, steps[0]), (moved, steps[0]), *((numbers, step) for step in steps[1:])]
+        first, *others = (
+            vj.continue_response(
+                make(**own),
+                frequency_ratio=BOUNDS,
+                settings=vj.ContinuationSettings(longest_step=step),
+            ).special_points
+            for own, step in cases
+        )
+        apart = [differing(first, other) for other in others]
+        total += len(first)
+        unrefined += sum(not point.refined for point in first)
+        if any(apart):
+            different += 1
+            print(f"rig {k} modes {modes} stops {stops}", apart, flush=True)
+    print(f"{different} of {len(chosen)} rigs differ; {unrefined} of {total} points are unrefined")
+
+
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Count what became of all rigs."""
     points = Counter()
@@ -155,10 +208,14 @@ def main() -> None:
     parser.add_argument("--modes", type=int, nargs="*", default=list(range(1, 13)))
     parser.add_argument("--stops", type=int, nargs="*", default=[1, 2, 3])
     parser.add_argument("--only", type=int, nargs="*", default=None)
+    parser.add_argument("--steps", type=float, nargs="*", default=None)
     parser.add_argument("--json", default=None)
     given = parser.parse_args()
     rigs = random_rigs(given.rigs, given.seed, given.modes, given.stops)
     chosen = [k for k, rig in enumerate(rigs) if given.only is None or rig[0] in given.only]
+    if given.steps:
+        compare_lists(rigs, chosen, given.steps)
+        return
     makers = {kind: maker(*kind) for kind in {rig[:2] for rig in rigs}}
     file = None if given.json is None else Path(given.json)
     rows = json.loads(file.read_text())["rigs"] if file is not None and file.exists() else []
