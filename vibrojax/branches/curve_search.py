@@ -290,7 +290,7 @@ class CurveSearch:
             before, after = (2 * d * rate for d, rate in zip((lasted, lasts), rates, strict=True))
             off = lasts**2 - lasted**2 - found.way * (before + after) / 2
             short, long = sorted((lasted, lasts))
-            is_long = found.way > LEAST + ACCURATE  # the shortest are solved for as exactly
+            is_long = found.way > LEAST + ACCURATE  # not by round-off
             if abs(off) > SKIPPED * long**2 or (is_long and short < LEFT * long):
                 return True
         return False
