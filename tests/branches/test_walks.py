@@ -435,6 +435,23 @@ def test_a_contact_too_shallow_for_a_march_is_one_that_it_went_through():
     assert not search.fits(motion, Seen(once, times[:2], True, np.ones(2), np.ones(2), None))
 
 
+def as_solved(motion):
+    """What a march of a motion shows that keeps to its contacts."""
+    return Seen(motion.contacts, motion.times, True, motion.state, motion.state, None)
+
+
+def specials_of(walk, solved, seen=as_solved):
+    """Special points of a walk, from the motions asked for and what marches of them show."""
+    steps, answer = special_points_of(walk), None
+    while True:
+        try:
+            request = steps.send(answer)
+        except StopIteration as end:
+            return end.value
+        looks = isinstance(request, Look)
+        answer = [seen(motion) for motion in request.motions] if looks else [solved(request)]
+
+
 def test_a_special_point_whose_motion_breaks_its_contacts_is_unrefined():
     """The motions on either side keep to theirs: there is more in between than was found."""
     search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
@@ -445,35 +462,13 @@ def test_a_special_point_whose_motion_breaks_its_contacts_is_unrefined():
 
     def special(met, at):
         walk = Walk(search, 0.0, 2.0, 0.1, 10, points=[motion(1.0, 0.0), motion(-1.0, 0.1)])
-        steps, seen = special_points_of(walk), Seen(met, at, True, state, state, None)
         fold = dataclasses.replace(motion(0.0, 0.0), error=0.0)
-        request = next(steps)
-        while True:
-            try:
-                request = steps.send([seen] if isinstance(request, Look) else [fold])
-            except StopIteration as end:
-                (found,) = end.value
-                return found.kind, found.refined
+        seen = Seen(met, at, True, state, state, None)
+        (found,) = specials_of(walk, lambda _: fold, lambda _: seen)
+        return found.kind, found.refined
 
     assert special(free, times) == ("fold", True)
     assert special(contacts.Contacts((0, 0), 0, 0.0), np.array([1.0, 1.1])) == ("fold", False)
-
-
-def specials_of_free(walk, solved):
-    """Special points of a walk without contact, of which `solved` gives the motions asked for."""
-    steps = special_points_of(walk)
-    request = next(steps)
-    while True:
-        if isinstance(request, Look):
-            none = np.zeros(0)
-            seen = Seen(contacts.Contacts((), 0, 0.0), none, True, np.ones(2), np.ones(2), None)
-            answer = [seen] * len(request.motions)
-        else:
-            answer = [solved(request)]
-        try:
-            request = steps.send(answer)
-        except StopIteration as end:
-            return end.value
 
 
 def test_two_folds_of_one_step_are_found():
@@ -487,7 +482,7 @@ def test_two_folds_of_one_step_are_found():
         return OnCurve(free, times, state, value, along, times, rate, matrix, error=0.0, way=way)
 
     walk = Walk(search, -9.0, 9.0, 0.1, 10, points=[motion(0.0), motion(1.0, 1.0)])
-    found = specials_of_free(walk, lambda ask: motion(float(ask.value / ask.by_state[0])))
+    found = specials_of(walk, lambda ask: motion(float(ask.value / ask.by_state[0])))
     assert [special.kind for special in found] == ["fold", "fold"]
     at = [special.motion.state[0] for special in found]
     np.testing.assert_allclose(at, [0.2, 0.8], atol=1e-7)
@@ -503,7 +498,7 @@ def test_a_multiplier_that_just_passes_the_circle_between_two_points_is_seen():
         return OnCurve(free, times, state, at, 0 * state, times, 1.0, matrix, error=0.0, way=1.0)
 
     walk = Walk(search, -1.0, 4.0, 0.1, 10, points=[motion(float(at)) for at in range(4)])
-    found = specials_of_free(walk, lambda ask: motion(float(ask.value)))
+    found = specials_of(walk, lambda ask: motion(float(ask.value)))
     assert [special.kind for special in found] == ["period_doubling"] * 2
     at = [special.motion.parameter for special in found]
     np.testing.assert_allclose(at, 1.8 + np.array([-1, 1]) * np.sqrt(1e-4 / 0.03), atol=1e-8)
@@ -529,21 +524,11 @@ def test_a_pair_that_leaves_the_circle_and_returns_right_behind_a_touch_is_seen(
     ahead = dataclasses.replace(motion(0.0), parameter=0.999)
     behind = dataclasses.replace(motion(lasting), family=1)
     walk = Walk(search, 0.0, 2.0, 0.1, 10, points=[ahead, motion(0.0), behind])
-    walk.seen = [Seen(free, np.zeros(0), True, state, state, None)] * 3
+    walk.seen = [as_solved(motion) for motion in walk.points]
     walk.touches = [Touch(1, True, (0, 1), 0)]
-    steps, request = special_points_of(walk), None
-    while True:
-        try:
-            request = steps.send(request)
-        except StopIteration as end:
-            found = [(special.kind, special.motion.times) for special in end.value]
-            break
-        if isinstance(request, Look):
-            request = [Seen(m.contacts, m.times, True, state, state, None) for m in request.motions]
-        else:
-            request = [motion(float(request.value))]
-    assert [kind for kind, _ in found] == ["grazing", "neimark_sacker", "neimark_sacker"]
-    lasts = [np.diff(times)[0] / lasting for _, times in found[1:]]
+    found = specials_of(walk, lambda ask: motion(float(ask.value)))
+    assert [special.kind for special in found] == ["grazing", "neimark_sacker", "neimark_sacker"]
+    lasts = [np.diff(special.motion.times)[0] / lasting for special in found[1:]]
     np.testing.assert_allclose(lasts, np.sort(np.roots([0.6, -0.668, 0.12])), rtol=1e-8)
 
 
@@ -573,7 +558,7 @@ def test_a_pair_may_pass_the_circle_in_the_step_of_a_doubling(ways):
         return OnCurve(free, times, state, at, 0 * state, times, way, matrix, error=0.0, way=gone)
 
     walk = Walk(search, -1.0, 2.0, 0.1, 10, points=[motion(at) for at in ways])
-    specials = specials_of_free(walk, lambda ask: motion(ask.value * way))
+    specials = specials_of(walk, lambda ask: motion(ask.value * way))
     doubling, pair = (0.764 + 0.4286 - 1) / 1.3926, 1.4286 / 1.6486
     wanted = {"period_doubling": doubling, "neimark_sacker": pair}
     assert [special.kind for special in specials] == [*wanted][:: int(way)]  # as they are passed

@@ -13,15 +13,15 @@ import numpy as np
 
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
 from vibrojax.branches.special_points import doubling_test, on_circle
-from vibrojax.branches.stretch import Number, Root, Stretch, turning_share
+from vibrojax.branches.stretch import NEXT_TO_TOUCH, Number, Root, Stretch, turning_share
 from vibrojax.branches.walking import Walk
 
 SOLVED = {"fold": 1e-8, "period_doubling": 1e-11, "neimark_sacker": 1e-11}
 """How near to zero a number is to come, over its size next to it; a fold is flat."""
 NEAR_CIRCLE = 1e-3
-SHARES, MOVED, NEAR = (1 / 8, 1 / 4, 1 / 2), 0.3, 0.2
-"""Where it is looked next to a touch, over the duration of the contact at the next point, if sizes
-of multipliers change by so much until then, or if one is so near to 1."""
+MOVED, NEAR = 0.3, 0.2
+"""By how much sizes of multipliers change between a touch and the next point, or how near one is to
+1, where it is looked in between."""
 
 
 class Special(NamedTuple):
@@ -126,7 +126,7 @@ def _in_cell(walk: Walk, k: int, doubtful: list[float]) -> Generator[Any, Any, l
     stretch, found = walk.stretch(k), list[tuple[float, Unseen]]()
 
     def solve(kind: str, number: Number, a: _Node, b: _Node) -> Steps:
-        """Find one of a kind; returns it as a node if it is solved for."""
+        """Find one of a kind; returns its place and motion if it is solved for."""
         ends = [(each.place, number(each.motion)) for each in (a, b)]
         root = yield from stretch.root(number, SOLVED[kind], *ends)
         unseen = _refined(walk, k, kind, stretch, root)
@@ -134,7 +134,7 @@ def _in_cell(walk: Walk, k: int, doubtful: list[float]) -> Generator[Any, Any, l
             found.append((abs(root.place - places[0]), unseen))
         if unseen is None or root.motion is None or root.at_touch or not root.solved:
             return None
-        return _Node(root.place, root.motion, REAL[kind][0] if kind in REAL else None)
+        return root.place, root.motion
 
     first, last = walk.points[k : k + 2]
     places = [stretch.place(share) for share in (0.0, *doubtful, 1.0)]
@@ -143,10 +143,12 @@ def _in_cell(walk: Walk, k: int, doubtful: list[float]) -> Generator[Any, Any, l
     known = [_Node(place, motion) for place, motion in both if motion is not None]
     for a, b in pairwise(known):
         nodes = [a, b]
-        for kind, (_, number) in REAL.items():
+        for kind, (multiplier, number) in REAL.items():
             if number(a.motion) * number(b.motion) < 0:
-                node = yield from solve(kind, number, a, b)
-                nodes += [node] if node is not None else []
+                there = yield from solve(kind, number, a, b)
+                if there is not None:
+                    place, motion = there
+                    nodes.append(_Node(place, motion, multiplier))
         # A pair may pass the circle in the same step, before or behind.
         nodes.sort(key=lambda node: abs(node.place - a.place))
         for ends in pairwise(nodes):
@@ -173,7 +175,7 @@ def _doubtful(walk: Walk, k: int) -> list[float]:
         near = np.abs(np.concatenate([first, last]) - 1) < NEAR
         if not (near.any() or (moved > MOVED).any()):
             return []
-        return sorted(share**2 if touch.entering else 1 - share**2 for share in SHARES)
+        return sorted(share**2 if touch.entering else 1 - share**2 for share in NEXT_TO_TOUCH)
     before, after = walk.points[max(k - 1, 0)], walk.points[min(k + 2, len(walk.points) - 1)]
     shares, outside = set(_between_folds(a, b)), a.outside
     if before.family != a.family or after.family != b.family or outside != b.outside:

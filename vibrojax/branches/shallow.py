@@ -7,9 +7,10 @@ from dataclasses import replace
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Nearness, OnCurve, Seen, Steps
 from vibrojax.branches.stretch import Stretch, turning_share
+from vibrojax.steady.curve_programs import LEAST
 
-SHORTEST = 0.9e-4
-"""Arclength between two points within which it is not looked."""
+SHORTEST = 0.9 * LEAST
+"""Arclength between two points within which it is not looked: at `LEAST` round-off would decide."""
 MOVED = 0.2
 """Most, rad, that the drive phase at which a stop is nearest differs between neighbours."""
 APART = 0.25

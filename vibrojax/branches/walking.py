@@ -287,7 +287,7 @@ class Walk:
             else:
                 kept = yield from self.kept(motion, seen)
                 if kept is None:
-                    if touch.entering and k == 1:
+                    if touch.entering and k == 1:  # the touch before it is this one
                         break
                     stopped = yield from self.take_sooner(motion, end[0])
                     if stopped is not None:
