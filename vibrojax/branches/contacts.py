@@ -166,7 +166,13 @@ def new_pairs(
 def same(
     contacts: Contacts, times: Times, met: Contacts, met_times: MetTimes, within: float
 ) -> bool:
-    """Whether a march met just the contacts of a sequence, and when it should (rad)."""
-    if contacts.stops != met.stops or contacts.first_phase != met.first_phase:
+    """Whether a march met just the contacts of a sequence, and when it should (rad).
+
+    Stops that change contact together may do so in either order.
+    """
+    if sorted(contacts.stops) != sorted(met.stops) or contacts.first_phase != met.first_phase:
         return False
-    return bool(np.max(np.abs(times - met_times), initial=0.0) < within)
+    own, theirs = (
+        at[np.argsort(of.stops, kind="stable")] for of, at in ((contacts, times), (met, met_times))
+    )
+    return bool(np.max(np.abs(own - theirs), initial=0.0) < within)

@@ -327,7 +327,7 @@ class CurveSearch:
         for pair in motion.pairs:
             if same(*without(*own, [pair]), *met, self.brief):
                 return pair.places[0]
-        if same(*own, *met, np.inf):
+        if motion.contacts == seen.contacts:
             off = np.flatnonzero(np.abs(motion.times - seen.times) > LOOSE)
             if len(off) and off[0] + 1 < len(motion.times):
                 return int(off[0]) + 1

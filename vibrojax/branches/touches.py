@@ -184,6 +184,17 @@ def touch_between(
     return (yield from _enter(search, last, touch, at_once, apart, bounds))
 
 
+def _touch_sooner(
+    search: CurveSearch, last: OnCurve, touch: OnCurve, seen: Seen, bounds: tuple[float, float]
+) -> Steps:
+    """Go to the touch before one where contacts have come already, as a stop that is near twice."""
+    gone = touch.way - TOGETHER
+    if gone <= 0:
+        return None
+    sooner = yield from touch_between(search, last, touch, seen, gone, 0.0, bounds)
+    return sooner if sooner is not None and sooner.place.way < gone else None
+
+
 def _met_beyond(search: CurveSearch, motion: OnCurve, seen: Seen) -> list[Pair] | None:
     """Pairs that a march of a motion met beyond its own."""
     if not seen.fits:
@@ -262,6 +273,10 @@ def _enter(
                 between = yield from _between(search, touch, found, passed)
                 motions = [touch, *between, found]
                 seen = yield Look(motions)
+                if not _only_touches(search, touch, seen[0]):
+                    sooner = yield from _touch_sooner(search, last, touch, seen[0], bounds)
+                    if sooner is not None:
+                        return sooner
                 if search.fits(found, seen[-1]):
                     farthest = farthest or Passed(motions, seen, passed)
                     is_whole = abs(gone) <= WITHIN or len(between) >= len(NEXT_TO_TOUCH)
