@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from vibrojax.branches.contacts import Contacts, Pair, pairs
+from vibrojax.branches.contacts import TURN, Contacts, Pair, pairs
 from vibrojax.steady.orbit_curve import Stride
 from vibrojax.stepping.measures import Measures
 
@@ -46,6 +46,14 @@ class OnCurve:
             parameter_along=-self.parameter_along,
             height_along=-self.height_along,
         )
+
+    def touches(self, stop: int, angle: float) -> bool:
+        """Whether a stop is touched at a drive phase, rad; of motions of one drive period."""
+        section = self.contacts.section
+        angle = section + (angle - section) % TURN
+        changes = np.asarray(self.contacts.stops, int) == stop
+        before = int(np.sum(changes & (self.times < angle)))
+        return bool((self.contacts.first_phase >> stop) + before & 1)
 
     @cached_property
     def multipliers(self) -> Complex[np.ndarray, " states"]:

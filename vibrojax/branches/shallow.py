@@ -1,16 +1,18 @@
 """Shallow contacts that come and go between two points of a curve."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
 
+from vibrojax.branches.contacts import TURN
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Nearness, OnCurve, Seen, Steps
+from vibrojax.branches.on_curve import OnCurve, Seen, Steps
 from vibrojax.branches.stretch import Stretch, turning_share
-from vibrojax.steady.curve_programs import LEAST
 
-SHORTEST = 0.9 * LEAST
-"""Arclength between two points within which it is not looked: at `LEAST` round-off would decide."""
+SHORTEST = 1e-6
+"""Arclength between two points within which it is not looked."""
 MOVED = 0.2
 """Most, rad, that the drive phase at which a stop is nearest differs between neighbours."""
 APART = 0.25
@@ -29,12 +31,11 @@ def shallow_contact(search: CurveSearch, points: list[OnCurve], seen: Sequence[S
     if len(points) < 3 or len({motion.family for motion in points[-3:]}) > 1:
         return None
     first, last, behind = points[-3:]
-    nearest = [s.nearest for s in seen]
+    near = [_near(search, *each) for each in zip(points, seen, strict=True)]
     if len(points) == 3 or points[0].family != first.family:
         # Other contacts say nothing of these.
-        unknown = [-math.inf] * len(nearest[0][0])
-        nearest = [(unknown, unknown), *nearest[-3:]]
-    share = _share((first.way, last.way, behind.way), nearest)
+        near = [[place._replace(height=-math.inf) for place in near[0]], *near[-3:]]
+    share = _share((first.way, last.way, behind.way), zip(*near, strict=True))
     if share is None:
         return None
     stretch = Stretch(search, first, last, None)
@@ -45,36 +46,63 @@ def shallow_contact(search: CurveSearch, points: list[OnCurve], seen: Sequence[S
     return found if 0 < found.way < last.way else None
 
 
-def _share(ways: Sequence[float], nearest: Sequence[Nearness]) -> float | None:
+class _Near(NamedTuple):
+    """Where a stop comes nearest to a change of contact and turns back."""
+
+    height: float
+    """What would have to pass zero, m."""
+    angle: float
+    """Drive phase, rad."""
+    touching: bool
+    """Whether it is in contact there; not known, and False, of motions of several drive periods."""
+
+    def is_at(self, other: "_Near") -> bool:
+        """Whether it is at the same drive phase as another one."""
+        return abs(math.remainder(self.angle - other.angle, TURN)) < MOVED
+
+    def is_same(self, other: "_Near") -> bool:
+        """Whether it is another one a little later along the curve."""
+        return self.is_at(other) and self.touching == other.touching
+
+
+def _near(search: CurveSearch, motion: OnCurve, seen: Seen) -> list[_Near]:
+    """Where each stop comes nearest in a motion."""
+    known = search.whole == TURN
+    return [
+        _Near(height, angle, known and motion.touches(stop, angle))
+        for stop, (height, angle) in enumerate(zip(*seen.nearest, strict=True))
+    ]
+
+
+def _share(ways: Sequence[float], stops: Iterable[Sequence[_Near]]) -> float | None:
     """Share of the way from the second of four points at which a stop may change contact.
 
-    How near stops came rises before and falls behind: that says where it would pass zero. What is
-    nearest at another drive phase is something else.
+    How near it came rises before and falls behind: that says where it would pass zero. What is
+    nearest at another drive phase is something else. Where it is in flight here and in contact
+    there, contact changes between, or all but does.
     """
     before, width, behind = ways
     if behind <= 0 or width < SHORTEST:
         return None
-    for stop in range(len(nearest[0][0])):
-        (a, b, c, d), turned = ([point[k][stop] for point in nearest] for k in (0, 1))
+    for near in stops:
+        a, b, c, d = (place.height for place in near)
         if not -math.inf < min(b, c) <= max(b, c) < 0:
             continue
+        comes, stays, goes = (one.is_same(other) for one, other in pairwise(near))
+        joins = near[1].is_at(near[2]) and not stays
         begin = end = math.inf
-        if -math.inf < a < b and _is_same(*turned[:2]):
+        if -math.inf < a < b and comes:
             begin = b / (a - b) * before / width
-        if -math.inf < d < c and _is_same(*turned[2:]):
+        if -math.inf < d < c and goes:
             end = c / (d - c) * behind / width
         if begin + end < 1 + APART:
-            turn = turning_share(ways, (a, b, c, d)) if _is_same(*turned[1:3]) else None
+            turn = turning_share(ways, (a, b, c, d)) if stays else None
             share = (begin + 1 - end) / 2 if turn is None else turn
         elif min(begin, end) < SOON:
             share = 2 * begin if begin < end else 1 - 2 * end
-        elif min(begin, end) < 1 and not (_is_same(*turned[1:3]) and (b < c) == (begin < end)):
+        elif joins or (min(begin, end) < 1 and not (stays and (b < c) == (begin < end))):
             share = 0.5
         else:
             continue
         return min(max(share, MARGIN), 1 - MARGIN)
     return None
-
-
-def _is_same(a: float, b: float) -> bool:
-    return abs(math.remainder(a - b, 2 * math.pi)) < MOVED

@@ -154,10 +154,12 @@ def touch_between(
     """Go to the touch before a motion that breaks its contacts, and beyond it, within bounds.
 
     A march of an unstable motion misses contacts some way before they end: one that ends is looked
-    for up to `reach` ahead.
+    for up to `reach` ahead, unless the march met others, as behind two changes of contact.
     """
     extra = _met_beyond(search, bad, seen)
     if not extra:
+        if search.met_others(bad, seen):
+            return None
         return (yield from vanish(search, last, reach, bounds))
     if bad.contacts.section != last.contacts.section:
         cut = yield from search.cut_at(last, bad.contacts.section)

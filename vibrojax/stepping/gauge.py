@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax.stepping.contact_phases import ContactPhases
-from vibrojax.stepping.cubic import quintic_maximum
+from vibrojax.stepping.cubic import cubic_between, quintic_maximum
 from vibrojax.stepping.elementary import by_halves, computed_once, pick, total, where_needed
 from vibrojax.stepping.forcing import Forcing
 from vibrojax.stepping.measures import Measures
@@ -309,12 +309,41 @@ def _highest(ends: tuple[Array, ...], turning_back: int) -> _Tops:
     """
     start, end = (tuple(a[which] for a in ends) for which in (slice(None, -1), slice(1, None)))
     inside, place, value = quintic_maximum(start, end)
+    if turning_back:
+        of_stops = ([a[:, :turning_back] for a in side] for side in (start, end))
+        turns, there, height = _turn_back(*of_stops, inside, place, value)
+        inside, place, value = (
+            jnp.concatenate([a, b[:, turning_back:]], axis=1)
+            for a, b in ((turns, inside), (there, place), (height, value))
+        )
     first = np.arange(len(value)).reshape((-1,) + (1,) * (value.ndim - 1))
-    kind = np.arange(value.shape[1]).reshape((-1,) + (1,) * (value.ndim - 2))
-    counts = ((start[1] >= 0) & (end[1] < 0)) | (kind >= turning_back)
-    cells = _Tops(jnp.where(counts, value, -jnp.inf), inside, place + first, inside * 0)
+    cells = _Tops(value, inside, place + first, inside * 0)
 
     def higher(one: _Tops, other: _Tops) -> _Tops:
         return jax.tree.map(lambda a, b: jnp.where(other.value > one.value, b, a), one, other)
 
     return by_halves(higher, cells)
+
+
+def _turn_back(
+    start: list[Array], end: list[Array], inside: Array, place: Array, value: Array
+) -> tuple[Array, Array, Array]:
+    """Where on some cells signals turn back, whether inside of them, and how high; else -inf.
+
+    `inside`, `place`, `value` are of the highest places. A signal that rises at both ends of one,
+    or falls, turns back and on in between where the cubic through its slopes has another sign.
+    """
+    (y, slope, bend), (_, last, bent) = start, end
+    stops = slice(None, slope.shape[1])
+    rises = slope >= 0
+    sign = jnp.where(rises, -1.0, 1.0)
+    other = cubic_between(sign * slope, sign * bend, sign * last, sign * bent)
+    u, most = other.peak()
+    narrow = -(other.curve + 3 * u * other.bend)
+    hidden = (rises == (last >= 0)) & (most > 0) & (narrow > 0)
+    off = jnp.sqrt(jnp.where(hidden, most / jnp.where(hidden, narrow, 1.0), 0.0))
+    u = jnp.clip(u + sign * off, 0.0, 1.0)
+    gone = u * (other.value + u * (other.slope / 2 + u * (other.curve / 3 + u * other.bend / 4)))
+    plain = rises & (last < 0)
+    height = jnp.where(hidden, y + sign * gone, jnp.where(plain, value[:, stops], -jnp.inf))
+    return hidden | inside[:, stops], jnp.where(hidden, u, place[:, stops]), height
