@@ -32,7 +32,7 @@ TOGETHER = 1e-7
 """Arclength within which touches happen at once."""
 SHARP = 1e-6
 """Arclength within which curves of stiff stops may turn round next to a touch."""
-FASTEST, CHANGES = 3, (0.5, 0.2, 0.05)
+FASTEST, CHANGES = 3, (0.5, 0.2, 0.05, 0.01, 0.002)
 """Contacts whose duration is made to change, and by what share, in order of trying."""
 LEAST_WAY = 0.02
 """Arclength behind a touch that is tried at the least."""

@@ -27,7 +27,7 @@ from vibrojax.branches.touches import (
     vanish,
 )
 
-FIRST, SHORTEST = 0.02, 1e-9
+BEGIN, FIRST, SHORTEST = 1e-4, 0.02, 1e-9
 """Steps, in arclength: change of the state over its size, and of the parameter over its scale."""
 AHEAD = 16
 """Points that are solved for before they are looked at."""
@@ -80,7 +80,7 @@ class Walk:
         here = yield from self.search.cut_well(start.reversed() if turns else start)
         (seen,) = yield Look([here])
         self.add(here, seen)
-        begun, step, tries, reached = start.parameter, FIRST, 0, 0
+        begun, step, tries, reached = start.parameter, BEGIN, 0, 0
         while True:
             found = yield from self.look_ahead(step)
             if found is None:
