@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.branches.contacts import (
+    TURN,
     Contacts,
     Pair,
     at_section,
@@ -31,6 +32,8 @@ SWELLED = 0.05
 """Least relative change of a contact's duration that shows whether the curve turned."""
 SKIPPED = 0.25
 """Most that the square of a contact's duration may be off what its rates say, over itself."""
+UNCOUNTED = 1e-12
+"""Depth over the amplitude that is no round-off, though a march does not count it."""
 LOOSE = 1e-8
 """Drive angle, rad, by which a march is off that has gone astray."""
 FARTHEST = 0.16
@@ -220,6 +223,27 @@ class CurveSearch:
             return False
         off = math.remainder(angles[pair.stop] - pair.middle, self.whole)
         return abs(off) < pair.length / 2
+
+    def uncounted(self, motion: OnCurve, seen: Seen) -> list[Pair]:
+        """Changes of contact that a march went through without counting them, of no duration.
+
+        None of motions of several drive periods: in which of them that is is not known.
+        """
+        if self.whole > TURN:
+            return []
+        highest, lowest, section = (
+            seen.measures.highest,
+            seen.measures.lowest,
+            motion.contacts.section,
+        )
+        least = UNCOUNTED * max(abs(float(highest)), abs(float(lowest)))
+        found = []
+        for stop, (height, angle) in enumerate(zip(*seen.nearest, strict=True)):
+            own = (pair for pair in motion.pairs if pair.stop == stop)
+            if height > least and not any(self.is_too_shallow(pair, seen) for pair in own):
+                at = section + (angle - section) % TURN
+                found.append(Pair(stop, (0, 0), (at, at)))
+        return found
 
     def oriented(self, found: OnCurve, last: OnCurve) -> OnCurve:
         """The motion with the direction in which the curve was followed to it."""

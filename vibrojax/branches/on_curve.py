@@ -47,13 +47,15 @@ class OnCurve:
             height_along=-self.height_along,
         )
 
-    def touches(self, stop: int, angle: float) -> bool:
-        """Whether a stop is touched at a drive phase, rad; of motions of one drive period."""
+    def changes_before(self, stop: int, angle: float) -> int:
+        """How often a stop changes contact from the section to a drive phase, rad.
+
+        Of motions of one drive period; odd numbers where it has been touched then, and only there.
+        """
         section = self.contacts.section
         angle = section + (angle - section) % TURN
         changes = np.asarray(self.contacts.stops, int) == stop
-        before = int(np.sum(changes & (self.times < angle)))
-        return bool((self.contacts.first_phase >> stop) + before & 1)
+        return int(np.sum(changes & (self.times < angle))) + (self.contacts.first_phase >> stop & 1)
 
     @cached_property
     def multipliers(self) -> Complex[np.ndarray, " states"]:

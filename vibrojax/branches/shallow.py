@@ -13,12 +13,15 @@ from vibrojax.branches.stretch import Stretch, turning_share
 
 SHORTEST = 1e-6
 """Arclength between two points within which it is not looked."""
-MOVED = 0.2
-"""Most, rad, that the drive phase at which a stop is nearest differs between neighbours."""
+MOVED, MOVES = 0.02, 2.0
+"""Most, rad, that the drive phase at which a stop is nearest differs between neighbours, and more
+for every unit of arclength between."""
 APART = 0.25
 """Share of the way by which the end of a contact may seem to lie before its beginning."""
 SOON = 0.25
 """Share of the way within which one that seems to begin or end is looked for in any case."""
+MUCH = 0.1
+"""Ratio of how near a stop comes in two neighbours, of which no others say how that changes."""
 MARGIN = 0.1
 """Least share of the way from both ends at which it is looked."""
 
@@ -53,23 +56,28 @@ class _Near(NamedTuple):
     """What would have to pass zero, m."""
     angle: float
     """Drive phase, rad."""
-    touching: bool
-    """Whether it is in contact there; not known, and False, of motions of several drive periods."""
+    changes: int
+    """How often it has changed contact from the section on: odd where it is touched. Not known, and
+    0, of motions of several drive periods."""
+    section: float
+    """Drive phase, rad."""
 
-    def is_at(self, other: "_Near") -> bool:
-        """Whether it is at the same drive phase as another one."""
-        return abs(math.remainder(self.angle - other.angle, TURN)) < MOVED
+    def changes_on_the_way(self, other: "_Near", way: float) -> int | None:
+        """Changes of contact from here to another one so far along the curve.
 
-    def is_same(self, other: "_Near") -> bool:
-        """Whether it is another one a little later along the curve."""
-        return self.is_at(other) and self.touching == other.touching
+        None if that is at another drive phase; 0 or 1 of motions that are cut elsewhere.
+        """
+        if abs(math.remainder(self.angle - other.angle, TURN)) > MOVED + MOVES * way:
+            return None
+        between = abs(self.changes - other.changes)
+        return between if self.section == other.section else between % 2
 
 
 def _near(search: CurveSearch, motion: OnCurve, seen: Seen) -> list[_Near]:
     """Where each stop comes nearest in a motion."""
-    known = search.whole == TURN
+    known, section = search.whole == TURN, motion.contacts.section
     return [
-        _Near(height, angle, known and motion.touches(stop, angle))
+        _Near(height, angle, motion.changes_before(stop, angle) if known else 0, section)
         for stop, (height, angle) in enumerate(zip(*seen.nearest, strict=True))
     ]
 
@@ -88,8 +96,11 @@ def _share(ways: Sequence[float], stops: Iterable[Sequence[_Near]]) -> float | N
         a, b, c, d = (place.height for place in near)
         if not -math.inf < min(b, c) <= max(b, c) < 0:
             continue
-        comes, stays, goes = (one.is_same(other) for one, other in pairwise(near))
-        joins = near[1].is_at(near[2]) and not stays
+        changes = [
+            one.changes_on_the_way(other, way)
+            for (one, other), way in zip(pairwise(near), ways, strict=True)
+        ]
+        comes, stays, goes = (between == 0 for between in changes)
         begin = end = math.inf
         if -math.inf < a < b and comes:
             begin = b / (a - b) * before / width
@@ -100,8 +111,10 @@ def _share(ways: Sequence[float], stops: Iterable[Sequence[_Near]]) -> float | N
             share = (begin + 1 - end) / 2 if turn is None else turn
         elif min(begin, end) < SOON:
             share = 2 * begin if begin < end else 1 - 2 * end
-        elif joins or (min(begin, end) < 1 and not (stays and (b < c) == (begin < end))):
+        elif changes[1] == 1 or (min(begin, end) < 1 and not (stays and (b < c) == (begin < end))):
             share = 0.5
+        elif math.isinf(min(begin, end)) and not stays and min(b / c, c / b) < MUCH:
+            share = 0.0 if b > c else 1.0  # next to it, to see how it changes
         else:
             continue
         return min(max(share, MARGIN), 1 - MARGIN)

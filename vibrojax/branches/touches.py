@@ -205,7 +205,7 @@ def _met_beyond(search: CurveSearch, motion: OnCurve, seen: Seen) -> list[Pair] 
         extra = new_pairs(*own, seen.contacts, seen.times)
         if extra:
             return extra
-    return None
+    return search.uncounted(motion, seen)
 
 
 def _goes_on(search: CurveSearch, last: OnCurve, touch: OnCurve) -> bool:

@@ -368,7 +368,7 @@ class Walk:
 
     def kept(self, motion: OnCurve, seen: Seen) -> Steps:
         """A motion that keeps to its contacts, and what was seen of it; None if it breaks them."""
-        if self.search.fits(motion, seen):
+        if self.search.fits(motion, seen) and not self.search.uncounted(motion, seen):
             return motion, seen
         again = None if self.doubled else (yield from self.search.recut(motion, seen))
         if again is None:
