@@ -202,6 +202,7 @@ SLOW = {
     ),
     "test_walks": (
         "test_a_contact_that_comes_and_goes_within_a_step_is_seen",
+        "test_an_approach_that_joins_the_contact_behind_it_is_seen",
         "test_a_contact_that_splits_and_joins_again_behind_a_touch_is_not_jumped_over",
         "test_contacts_change_right_behind_a_touch",
         "test_touches_that_cannot_be_passed_are_leapt_over",

@@ -10,7 +10,7 @@ import pytest
 from rod import rod
 
 import vibrojax as vj
-from vibrojax.branches import contacts, side_by_side, walking, what_follows
+from vibrojax.branches import contacts, shallow, side_by_side, walking, what_follows
 from vibrojax.branches.comparing import COMPARED
 from vibrojax.branches.continuation import Ending
 from vibrojax.branches.curve_search import CurveSearch
@@ -18,10 +18,12 @@ from vibrojax.branches.exact_branches import crowded
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Touch
 from vibrojax.branches.refining import special_points_of
 from vibrojax.branches.stretch import turning_share
+from vibrojax.branches.touches import touch_between
 from vibrojax.branches.walking import Walk
 from vibrojax.steady import paths
 from vibrojax.steady.curve_programs import LEAST
 from vibrojax.stepping.contact_phases import contact_phases
+from vibrojax.stepping.measures import Measures
 
 TURN = 2 * np.pi
 DATA = Path(__file__).parents[1] / "data"
@@ -269,6 +271,26 @@ def test_a_contact_that_comes_and_goes_within_a_step_is_seen():
         np.testing.assert_allclose(found, [0.7418794, 0.7634518, 0.7635637, 0.7860851], rtol=1e-7)
 
 
+def test_an_approach_that_joins_the_contact_behind_it_is_seen():
+    """It touches at a ratio 5e-7 before that: on either side the stop is all but left there."""
+    beam = vj.default_rig(taper=0.9478825404249082, mass_ratio=0.8166459753660771).beam
+    stops = (
+        (0.6685547636326504, 1.3116604399422294e-3, 296.9817173951911, 24.620243285165444, 1),
+        (0.5174978193866507, 5.138087605706245e-4, 3.1302546228180304, 23.144519778275363, -1),
+    )
+    rig = between_stops(
+        beam, stops, base_amplitude=2.589802197687496e-4, damping_ratio=0.024038816553417552
+    )
+    for step in (0.08, 0.02):
+        branch = vj.continue_response(
+            rig,
+            frequency_ratio=vj.Range(0.95, 1.0),
+            settings=vj.ContinuationSettings(longest_step=step),
+        )
+        found = [point.parameter for point in branch.special_points]
+        np.testing.assert_allclose(found, [0.97760313, 0.97760363], rtol=1e-8)
+
+
 def test_a_contact_that_splits_and_joins_again_behind_a_touch_is_not_jumped_over():
     """Its contacts are the same again 1.2e-3 behind the touch; however wide the range is."""
     beam = vj.default_rig(taper=0.20038074518019924, mass_ratio=9.592369958777931).beam
@@ -433,6 +455,138 @@ def test_a_contact_too_shallow_for_a_march_is_one_that_it_went_through():
     assert not fits(-1e-13, 3.00015)
     assert not fits(1e-13, 2.9)
     assert not search.fits(motion, Seen(once, times[:2], True, np.ones(2), np.ones(2), None))
+
+
+def test_stops_that_change_contact_together_may_do_so_in_either_order():
+    """A march that finds one of them late has taken the other one first."""
+    own = contacts.Contacts((0, 1, 0, 1), 0, 0.5)
+    times, other = np.array([1.0, 1.00001, 2.0, 3.0]), own._replace(stops=(1, 0, 0, 1))
+    assert contacts.same(own, times, other, np.array([1.00001, 1.0, 2.0, 3.0]), 1e-8)
+    assert not contacts.same(own, times, other, times, 1e-8)
+    assert not contacts.same(own, times, own._replace(stops=(1, 0, 0, 0)), times, 1.0)
+
+
+def seen_at(motion, height, angle, amplitude=1e-3):
+    """What a march shows that met all contacts, and how near stop 0 came to another one."""
+    measures = Measures(0.0, amplitude, -amplitude, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+    at = motion.contacts, motion.times, True, motion.state, motion.state, measures
+    return Seen(*at, ([height], [angle]))
+
+
+def test_what_passes_zero_is_a_contact_whether_a_march_counts_it_or_not():
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    known, times = contacts.Contacts((0, 0), 0, 0.5), np.array([1.0, 1.2])
+    motion = OnCurve(known, times, np.ones(2), 1.0, np.ones(2), 0 * times, 0.0, np.eye(2))
+
+    def uncounted(height, angle):
+        return [pair.middle for pair in search.uncounted(motion, seen_at(motion, height, angle))]
+
+    assert uncounted(2e-15, 3.0) == pytest.approx([3.0])
+    assert uncounted(2e-15, 0.2) == pytest.approx([0.2 + TURN])
+    assert not uncounted(1e-16, 3.0)  # round-off
+    assert not uncounted(-2e-15, 3.0)
+    assert not uncounted(2e-15, 1.1)  # it is in contact there
+
+    walk = Walk(search, 0.0, 2.0, 0.1, 10, points=[motion])
+    for height, kept in ((-2e-15, True), (2e-15, False)):
+        with pytest.raises(StopIteration) as end:
+            next(walk.kept(motion, seen_at(motion, height, 3.0)))
+        assert (end.value.value is not None) is kept
+
+
+def test_no_touch_far_ahead_is_gone_to_from_a_motion_that_met_others():
+    """There have been two changes of contact, which a shorter step will find."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    known, times = contacts.Contacts((0, 0), 0, 0.5), np.array([1.0, 1.2])
+    closes = np.array([1.0, -1.0])
+    last = OnCurve(known, times, np.ones(2), 1.0, 0 * np.ones(2), closes, 1.0, np.eye(2))
+    bad = dataclasses.replace(last, times=times + 1e-2)
+
+    def asked(seen):
+        return list(touch_between(search, last, bad, seen, 0.01, 0.2, (0.0, 2.0)))[:1]
+
+    fewer = Seen(known._replace(stops=()), times[:0], True, np.ones(2), np.ones(2), None)
+    with pytest.raises(AttributeError):  # goes on with the answer to what it asks for
+        asked(fewer)
+    assert not asked(seen_at(last, -1.0, 3.0))
+
+
+def test_a_touch_behind_another_one_of_the_same_stop_gives_way_to_that():
+    """The stop is near at two places: it was solved for at the second that is reached."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    free, none = contacts.Contacts((), 0, 0.5), np.zeros(0)
+    last = OnCurve(free, none, np.ones(2), 1.0, np.zeros(2), none, 1.0, np.eye(2))
+    reached = {2.0: 1.02, 3.0: 1.01}
+    """Parameters from which on the stop is touched, by drive phase."""
+
+    def pairs_at(parameter):
+        if parameter > 1.025:  # they are one
+            return [contacts.Pair(0, (0, 0), (1.8, 3.2))]
+        every = {at: np.sqrt(max(parameter - begun, 0.0)) for at, begun in reached.items()}
+        return [contacts.Pair(0, (0, 0), (at - d, at + d)) for at, d in every.items() if d > 0]
+
+    def solved(ask):
+        parameter, times = ask.parameter, np.array(ask.times)
+        along = 0 * times
+        if ask.peak >= 0:  # from afar it goes to the wrong one
+            at = 2.0 if parameter > 1.02 else 3.0
+            parameter, times = reached[at], np.array([at])
+        elif len(times):
+            at = min(reached, key=lambda at: abs(at - times.mean()))
+            half = ask.value / 2 if ask.by_times is not None else np.ptp(times) / 2
+            parameter, times = reached[at] + half**2, np.array([at - half, at + half])
+            along = np.array([-1.0, 1.0]) / (2 * half)
+        state = np.ones(2)
+        value = float(parameter)
+        found = OnCurve(ask.contacts, times, state, value, 0 * state, along, 1.0, np.eye(2))
+        return [dataclasses.replace(found, error=0.0, height_along=1.0, bend=-8.0)]
+
+    def seen(motion):
+        met, times = contacts.with_pairs(free, none, pairs_at(motion.parameter))
+        return Seen(met, times, True, motion.state, motion.state, None)
+
+    bad = dataclasses.replace(last, parameter=1.03)
+    steps = touch_between(search, last, bad, seen(bad), 0.03, 0.03, (0.0, 2.0))
+    answer = None
+    while True:
+        try:
+            request = steps.send(answer)
+        except StopIteration as end:
+            passed = end.value
+            break
+        looks = isinstance(request, Look)
+        answer = [seen(motion) for motion in request.motions] if looks else solved(request)
+    assert passed.place.parameter == pytest.approx(1.01)
+
+
+def test_where_a_stop_that_is_near_may_change_contact():
+    """Shares of the way from the second of four points, that apart, at which it is looked."""
+
+    def share(*places, ways=(0.01, 0.01, 0.01)):
+        near = [shallow._Near(h, angle, changes, 0.5) for h, angle, changes in places]
+        return shallow._share(ways, [near])
+
+    rising = (-3e-6, 1.0, 2), (-1e-6, 1.0, 2)
+    falling = rising[::-1]
+    assert share(*rising, *falling) == pytest.approx(0.5)
+    assert share(*falling, *rising) is None
+    # In flight before it and in contact behind: contact changed between, or all but did.
+    flies, touches = ((-1.1e-6, 1.0, 2), (-1e-6, 1.0, 2)), ((-1e-6, 1.0, 3), (-1e-6, 1.0, 3))
+    assert share(*flies, *touches) == 0.5
+    assert share(*touches, *flies[::-1]) == 0.5
+    assert share(*flies, *flies) is None
+    # Another flight, or elsewhere in the same one, is something else; from afar it may have moved.
+    slower = (-5e-7, 1.0, 2), (-5.5e-7, 1.0, 2)
+    assert share(*rising, *slower) is None
+    assert share(*rising, *((h, at, changes + 2) for h, at, changes in slower)) == 0.5
+    moved = [(h, at + 0.1, changes) for h, at, changes in slower]
+    assert share(*rising, *moved) == 0.5
+    assert share(*rising, *moved, ways=(0.08, 0.08, 0.08)) is None
+    # Much nearer than its neighbours, which are something else: how that changes is not known.
+    alone, others = (-1e-8, 1.0, 2), ((-1e-6, 2.0, 2), (-1e-6, 2.0, 2))
+    assert share(others[0], alone, *others) == shallow.MARGIN
+    assert share(*others, alone, others[0]) == 1 - shallow.MARGIN
+    assert share(others[0], (-5e-7, 1.0, 2), *others) is None
 
 
 def as_solved(motion):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from marches import prepared
 
-from vibrojax.stepping import exact_contact
+from vibrojax.stepping import exact_contact, gauge
 from vibrojax.stepping.contact_phases import phases_of
 from vibrojax.stepping.forcing import forcing
 from vibrojax.stepping.gauge import PLACES, Ruler
@@ -97,6 +97,20 @@ def test_how_near_a_stop_comes_to_a_change_of_contact_in_closed_form(oscillator)
     distance, phase = nearest(resting, jnp.array([at_rest, swing * own]), own)
     assert distance == pytest.approx(-(at_rest + 1 - swing), abs=1e-9)
     assert phase == pytest.approx(3 * np.pi / 2, abs=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_turn_back_and_on_within_a_cell_is_seen(sign):
+    """Of depths that rise on, or fall on, on either side of it: those of t^3 - 3 e^2 t."""
+    half, width = 0.05, 0.25
+    ends = np.linspace(-0.9, 1.1, 9)[:, None]
+    depth, rate, bend = ends**3 - 3 * half**2 * ends, 3 * (ends**2 - half**2), 6 * ends
+    assert (rate > 0).all()
+    derivatives = [jnp.asarray(sign * a * width**k) for k, a in enumerate((depth, rate, bend))]
+    top = gauge._highest(tuple(derivatives), 1)
+    assert bool(top.inside[0])
+    assert top.value[0] == pytest.approx(2 * half**3, rel=1e-9)
+    assert -0.9 + width * top.offset[0] == pytest.approx(-sign * half, rel=1e-9)
 
 
 def test_more_stretches_than_there_is_room_for_at_once(beam):

@@ -231,12 +231,8 @@ class CurveSearch:
         """
         if self.whole > TURN:
             return []
-        highest, lowest, section = (
-            seen.measures.highest,
-            seen.measures.lowest,
-            motion.contacts.section,
-        )
-        least = UNCOUNTED * max(abs(float(highest)), abs(float(lowest)))
+        section, measures = motion.contacts.section, seen.measures
+        least = UNCOUNTED * max(abs(float(measures.highest)), abs(float(measures.lowest)))
         found = []
         for stop, (height, angle) in enumerate(zip(*seen.nearest, strict=True)):
             own = (pair for pair in motion.pairs if pair.stop == stop)

@@ -277,8 +277,8 @@ def _enter(
                 seen = yield Look(motions)
                 if not _only_touches(search, touch, seen[0]):
                     sooner = yield from _touch_sooner(search, last, touch, seen[0], bounds)
-                    if sooner is not None:
-                        return sooner
+                    if sooner is not None or apart > WITHIN:
+                        return sooner  # without one a shorter step shows it
                 if search.fits(found, seen[-1]):
                     farthest = farthest or Passed(motions, seen, passed)
                     is_whole = abs(gone) <= WITHIN or len(between) >= len(NEXT_TO_TOUCH)
