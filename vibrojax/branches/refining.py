@@ -10,6 +10,7 @@ from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
 from vibrojax.branches.special_points import doubling_test, on_circle
@@ -59,12 +60,21 @@ class _Node(NamedTuple):
     @property
     def outside(self) -> tuple[int, int]:
         """How many multipliers are outside of the unit circle, next to it on either side."""
+        count = int(np.sum(self._others > 1))
+        return count, count if self.multiplier is None else count + 1
+
+    @property
+    def is_near_circle(self) -> bool:
+        """Whether another multiplier is near the unit circle."""
+        return bool((np.abs(self._others - 1) < NEAR).any())
+
+    @property
+    def _others(self) -> Float[np.ndarray, " others"]:
+        """Moduli of the multipliers but that on the unit circle."""
+        every = self.motion.multipliers
         if self.multiplier is None:
-            return self.motion.outside, self.motion.outside
-        off = np.abs(self.motion.multipliers - self.multiplier)
-        others = np.abs(np.delete(self.motion.multipliers, np.argmin(off)))
-        count = int(np.sum(others > 1))
-        return count, count + 1
+            return np.abs(every)
+        return np.abs(np.delete(every, np.argmin(np.abs(every - self.multiplier))))
 
 
 REAL: dict[str, tuple[float, Number]] = {
@@ -149,13 +159,32 @@ def _in_cell(walk: Walk, k: int, doubtful: list[float]) -> Generator[Any, Any, l
                 if there is not None:
                     place, motion = there
                     nodes.append(_Node(place, motion, multiplier))
-        # A pair may pass the circle in the same step, before or behind.
+        # A pair may pass the circle in the same step, before or behind, and return.
+        places_between = _next_to_special(nodes)
+        between = yield from stretch.each(places_between)
+        both = zip(places_between, between, strict=True)
+        nodes += [_Node(place, motion) for place, motion in both if motion is not None]
         nodes.sort(key=lambda node: abs(node.place - a.place))
         for ends in pairwise(nodes):
             number = _pair_crossing(*ends)
             if number is not None:
                 yield from solve("neimark_sacker", number, *ends)
     return [unseen for _, unseen in sorted(found, key=itemgetter(0))]
+
+
+def _next_to_special(nodes: list[_Node]) -> list[float]:
+    """Places next to special points of a cell, whose ends come first, where it is looked too.
+
+    If another multiplier is near the circle there.
+    """
+    ends, special = nodes[:2], nodes[2:]
+    return [
+        node.place + share * (end.place - node.place)
+        for node in special
+        if node.is_near_circle
+        for end in ends
+        for share in NEXT_TO_TOUCH
+    ]
 
 
 def _leapt_over(walk: Walk, k: int) -> list[Special]:
