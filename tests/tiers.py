@@ -209,6 +209,7 @@ SLOW = {
         "test_a_touch_just_before_the_end_of_the_range",
         "test_special_points_do_not_depend_on_range_and_step",
         "test_points_keep_to_the_equations",
+        "test_a_walk_begins_with_a_short_step",
         "test_comparing_refuses",
     ),
     "test_following": (

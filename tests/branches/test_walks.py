@@ -72,6 +72,12 @@ def test_points_keep_to_the_equations(small_rods):
     assert len(branch.contact_changes) > 0
 
 
+def test_a_walk_begins_with_a_short_step(small_rods):
+    """A special point may be next to where it begins."""
+    start, following = small_rods[0].values[:2]
+    assert 0 < following - start < 1e-4 * start
+
+
 @pytest.mark.slow
 def test_what_happens_next_to_a_touch_does_not_depend_on_the_step():
     """Where a contact is about to end, or has just begun, it splits into two for a little while."""
@@ -466,13 +472,6 @@ def test_stops_that_change_contact_together_may_do_so_in_either_order():
     assert not contacts.same(own, times, own._replace(stops=(1, 0, 0, 0)), times, 1.0)
 
 
-def seen_at(motion, height, angle, amplitude=1e-3):
-    """What a march shows that met all contacts, and how near stop 0 came to another one."""
-    measures = Measures(0.0, amplitude, -amplitude, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-    at = motion.contacts, motion.times, True, motion.state, motion.state, measures
-    return Seen(*at, ([height], [angle]))
-
-
 def test_what_passes_zero_is_a_contact_whether_a_march_counts_it_or_not():
     search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
     known, times = contacts.Contacts((0, 0), 0, 0.5), np.array([1.0, 1.2])
@@ -485,7 +484,10 @@ def test_what_passes_zero_is_a_contact_whether_a_march_counts_it_or_not():
     assert uncounted(2e-15, 0.2) == pytest.approx([0.2 + TURN])
     assert not uncounted(1e-16, 3.0)  # round-off
     assert not uncounted(-2e-15, 3.0)
-    assert not uncounted(2e-15, 1.1)  # it is in contact there
+    assert uncounted(2e-15, 1.1)  # or leaves
+
+    fewer = seen_at(motion, 2e-15, 1.1)._replace(contacts=known._replace(stops=()), times=times[:0])
+    assert not search.uncounted(motion, fewer)  # it has that contact
 
     walk = Walk(search, 0.0, 2.0, 0.1, 10, points=[motion])
     for height, kept in ((-2e-15, True), (2e-15, False)):
@@ -589,9 +591,17 @@ def test_where_a_stop_that_is_near_may_change_contact():
     assert share(others[0], (-5e-7, 1.0, 2), *others) is None
 
 
-def as_solved(motion):
+MEASURED = Measures(0.0, 1e-3, -1e-3, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+
+
+def as_solved(motion, nearest=((), ())):
     """What a march of a motion shows that keeps to its contacts."""
-    return Seen(motion.contacts, motion.times, True, motion.state, motion.state, None)
+    return Seen(motion.contacts, motion.times, True, motion.state, motion.state, MEASURED, nearest)
+
+
+def seen_at(motion, height, angle):
+    """The same, and how near stop 0 came to another contact."""
+    return as_solved(motion, ([height], [angle]))
 
 
 def specials_of(walk, solved, seen=as_solved):
@@ -617,7 +627,7 @@ def test_a_special_point_whose_motion_breaks_its_contacts_is_unrefined():
     def special(met, at):
         walk = Walk(search, 0.0, 2.0, 0.1, 10, points=[motion(1.0, 0.0), motion(-1.0, 0.1)])
         fold = dataclasses.replace(motion(0.0, 0.0), error=0.0)
-        seen = Seen(met, at, True, state, state, None)
+        seen = Seen(met, at, True, state, state, MEASURED)
         (found,) = specials_of(walk, lambda _: fold, lambda _: seen)
         return found.kind, found.refined
 

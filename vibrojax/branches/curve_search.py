@@ -233,10 +233,12 @@ class CurveSearch:
             return []
         section, measures = motion.contacts.section, seen.measures
         least = UNCOUNTED * max(abs(float(measures.highest)), abs(float(measures.lowest)))
+        # A contact of its own that a march did not count it has all the same.
+        missed = motion.pairs if len(seen.times) < len(motion.times) else []
+        own = {pair.stop for pair in missed if self.is_too_shallow(pair, seen)}
         found = []
         for stop, (height, angle) in enumerate(zip(*seen.nearest, strict=True)):
-            own = (pair for pair in motion.pairs if pair.stop == stop)
-            if height > least and not any(self.is_too_shallow(pair, seen) for pair in own):
+            if height > least and stop not in own:
                 at = section + (angle - section) % TURN
                 found.append(Pair(stop, (0, 0), (at, at)))
         return found

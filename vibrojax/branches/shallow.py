@@ -26,19 +26,27 @@ MARGIN = 0.1
 """Least share of the way from both ends at which it is looked."""
 
 
-def shallow_contact(search: CurveSearch, points: list[OnCurve], seen: Sequence[Seen]) -> Steps:
+def shallow_contact(
+    search: CurveSearch, points: list[OnCurve], seen: Sequence[Seen], *, to_touch: bool = False
+) -> Steps:
     """Solve for a motion in the last cell but one of some points, if a stop may touch there.
 
-    Or if it may leave for a little while. None where nothing says so, or no motion was found.
+    Or if it may leave for a little while. None where nothing says so, or no motion was found. Where
+    the last point is a touch, `to_touch`, it is in the cell before that.
     """
     if len(points) < 3 or len({motion.family for motion in points[-3:]}) > 1:
         return None
-    first, last, behind = points[-3:]
     near = [_near(search, *each) for each in zip(points, seen, strict=True)]
-    if len(points) == 3 or points[0].family != first.family:
-        # Other contacts say nothing of these.
-        near = [[place._replace(height=-math.inf) for place in near[0]], *near[-3:]]
-    share = _share((first.way, last.way, behind.way), zip(*near, strict=True))
+    unknown = [place._replace(height=-math.inf) for place in near[0]]
+    before, first, last = points[-3:]
+    ways = before.way, first.way, last.way
+    if to_touch:
+        ways, near = (first.way, last.way, math.inf), [*near[-3:], unknown]
+    else:
+        first, last = before, first
+        if len(points) == 3 or points[0].family != first.family:
+            near = [unknown, *near[-3:]]  # other contacts say nothing of these
+    share = _share(ways, zip(*near, strict=True))
     if share is None:
         return None
     stretch = Stretch(search, first, last, None)
@@ -87,14 +95,15 @@ def _share(ways: Sequence[float], stops: Iterable[Sequence[_Near]]) -> float | N
 
     How near it came rises before and falls behind: that says where it would pass zero. What is
     nearest at another drive phase is something else. Where it is in flight here and in contact
-    there, contact changes between, or all but does.
+    there, contact changes between, or all but does. The third may be a touch, with nothing behind.
     """
     before, width, behind = ways
+    to_touch = math.isinf(behind)
     if behind <= 0 or width < SHORTEST:
         return None
     for near in stops:
         a, b, c, d = (place.height for place in near)
-        if not -math.inf < min(b, c) <= max(b, c) < 0:
+        if not -math.inf < min(b, c) <= max(b, -math.inf if to_touch else c) < 0:
             continue
         changes = [
             one.changes_on_the_way(other, way)
@@ -111,9 +120,13 @@ def _share(ways: Sequence[float], stops: Iterable[Sequence[_Near]]) -> float | N
             share = (begin + 1 - end) / 2 if turn is None else turn
         elif min(begin, end) < SOON:
             share = 2 * begin if begin < end else 1 - 2 * end
-        elif changes[1] == 1 or (min(begin, end) < 1 and not (stays and (b < c) == (begin < end))):
+        elif (changes[1] == 1 and not to_touch) or (
+            min(begin, end) < 1 and not (stays and (b < c) == (begin < end))
+        ):
             share = 0.5
-        elif math.isinf(min(begin, end)) and not stays and min(b / c, c / b) < MUCH:
+        elif to_touch or stays:
+            continue
+        elif min(b / c, c / b) < MUCH and math.isinf(begin if b > c else end):
             share = 0.0 if b > c else 1.0  # next to it, to see how it changes
         else:
             continue

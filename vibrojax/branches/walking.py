@@ -27,15 +27,14 @@ from vibrojax.branches.touches import (
     vanish,
 )
 
-BEGIN, FIRST, SHORTEST = 1e-4, 0.02, 1e-9
+BEGIN, FIRST, SHORTEST = 3e-5, 0.02, 1e-9
 """Steps, in arclength: change of the state over its size, and of the parameter over its scale."""
 AHEAD = 16
 """Points that are solved for before they are looked at."""
 MOST_TRIES = 40
 """Tries to pass a touch before the next point has to be found."""
-LEAPS = 1e-5, 1e-4, 1e-3, 1e-2, 4e-2
-"""Arclengths by which changes of contact are leapt over that cannot be passed one by one."""
-MOST_LEAPS = 30
+LEAPS, MOST_LEAPS = (1e-5, 1e-4, 1e-3, 1e-2, 4e-2), 30
+"""Arclengths by which changes of contact are leapt over that cannot be passed one by one; times."""
 NEARER = 0.999
 """Share of the way to a touch within which another one comes before it."""
 SAME = 1e-8
@@ -270,16 +269,19 @@ class Walk:
             self.seen.pop()
         if self.landing is not None and self.landing >= len(self.points):
             self.landing = None
-        first = self.behind_last(passed.motions[0])
-        closer = yield from self.closer(first, passed.seen[0], self.max_points - len(passed.seen))
-        if closer and (refused := (yield from self.keep(closer))):
-            if isinstance(refused, Ending):
-                return refused
-            way = sum(motion.way for motion in refused)
-            nearer = yield from self.touch_before(refused[0], refused[0].way, way)
-            if nearer is not None:
-                return (yield from self.take(nearer))
-            self.add(replace(refused[-1], way=way), closer[-1][1])
+        room = self.max_points - len(passed.seen)
+        for to_touch in (False, True):
+            first = self.behind_last(passed.motions[0])
+            closer = yield from self.closer(first, passed.seen[0], room, to_touch=to_touch)
+            if closer and (refused := (yield from self.keep(closer))):
+                if isinstance(refused, Ending):
+                    return refused
+                way = sum(motion.way for motion in refused)
+                nearer = yield from self.touch_before(refused[0], refused[0].way, way)
+                if nearer is not None:
+                    return (yield from self.take(nearer))
+                if not to_touch:
+                    self.add(replace(refused[-1], way=way), closer[-1][1])
         *ahead, end = zip(passed.motions, passed.seen, strict=True)
         for k, (motion, seen) in enumerate(ahead):
             if motion is place:
@@ -323,9 +325,7 @@ class Walk:
 
         Where a stop seems to change contact for a little while, motions in between are added.
         """
-        if not ahead:
-            return []
-        every = yield self.search.look(ahead, halfway=self.doubled)
+        every = (yield self.search.look(ahead, halfway=self.doubled)) if ahead else []
         return (yield from self.keep(list(zip(ahead, every, strict=True))))
 
     def keep(self, rest: list[tuple[OnCurve, Seen]]) -> Steps:
@@ -351,18 +351,22 @@ class Walk:
                 return Ending.closed
         return []
 
-    def closer(self, motion: OnCurve, seen: Seen, most: int) -> Steps:
+    def closer(self, motion: OnCurve, seen: Seen, most: int, *, to_touch: bool = False) -> Steps:
         """Look between the last two points if a stop may change contact there, as one behind says.
 
-        Returns it and the last point, taken back; nothing with as many points as are allowed.
+        Or between the last one and a touch. Returns it and the last point, taken back, unless that
+        is the touch; nothing with as many points as are allowed.
         """
         if len(self.points) >= most:
             return []
-        near = [*self.points[-3:], motion], [*self.seen[-3:], seen]
-        found = yield from shallow_contact(self.search, *near)
+        before = 2 if to_touch else 3
+        near = [*self.points[-before:], motion], [*self.seen[-before:], seen]
+        found = yield from shallow_contact(self.search, *near, to_touch=to_touch)
         if found is None:
             return []
         (seen,) = yield self.search.look([found], halfway=self.doubled)
+        if to_touch:
+            return [(found, seen)]
         last = self.points.pop()
         return [(found, seen), (replace(last, way=last.way - found.way), self.seen.pop())]
 
@@ -378,9 +382,7 @@ class Walk:
     def close(self) -> None:
         """Take the first point as the last one too, unless the walk has gone past it."""
         first, last = self.points[0], self.points[-1]
-        if first.contacts != last.contacts:
-            return
-        way = self.search.way(last, first)
+        way = self.search.way(last, first) if first.contacts == last.contacts else 0.0
         if way > 0:
             self.add(replace(first, way=way, family=last.family), self.seen[0])
 
