@@ -75,7 +75,7 @@ def test_points_keep_to_the_equations(small_rods):
 def test_a_walk_begins_with_a_short_step(small_rods):
     """A special point may be next to where it begins."""
     start, following = small_rods[0].values[:2]
-    assert 0 < following - start < 1e-4 * start
+    assert 0 < following - start < 2e-3 * start
 
 
 @pytest.mark.slow

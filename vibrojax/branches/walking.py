@@ -1,9 +1,9 @@
 """Walking along a curve of exact periodic motions, from one set of contacts to the next.
 
 The walk of one lane is a generator: it yields what is to be solved or looked at, the answers of
-many lanes being computed side by side (`side_by_side`). Motions are solved for a few steps ahead
-as if their contacts stayed as they are, then marched for a period: where the march meets other
-contacts, the touch in between is solved for, and the walk goes on from there.
+many lanes being computed side by side (`side_by_side`). Motions are solved for a few steps ahead as
+if contacts stayed as they are, then marched: where the march meets others, the touch in between is
+solved for, and the walk goes on from there.
 """
 
 from bisect import bisect_left
@@ -26,8 +26,9 @@ from vibrojax.branches.touches import (
     touch_between,
     vanish,
 )
+from vibrojax.steady.curve_programs import LEAST
 
-BEGIN, FIRST, SHORTEST = 3e-5, 0.02, 1e-9
+BEGIN, FIRST, SHORTEST = 1e-3, 0.02, 1e-9
 """Steps, in arclength: change of the state over its size, and of the parameter over its scale."""
 AHEAD = 16
 """Points that are solved for before they are looked at."""
@@ -300,7 +301,9 @@ class Walk:
         if not touch.entering:
             self.touches.append(touch._replace(at=len(self.points)))
         self.add(self.behind_last(end[0]), end[1])
-        return FIRST / 2
+        # The next may come as soon as this one came behind the last.
+        since = self.points[self.touches[-2].at + 1 :] if len(self.touches) > 1 else []
+        return min(max(sum(motion.way for motion in since), LEAST), FIRST / 2)
 
     def take_sooner(self, misfit: OnCurve, end: OnCurve) -> Steps:
         """Take the touch before a motion that was refused just now, if it lies before the end.
@@ -388,10 +391,8 @@ class Walk:
 
     def is_closed(self) -> bool:
         """Whether the last point is where the walk began."""
-        if len(self.points) <= LOOP_POINTS:
-            return False
         far = (self.points[0].parameter - self.points[-1].parameter) / self.search.scale
-        if abs(far) > 0.75 * self.longest:  # as most are
+        if len(self.points) <= LOOP_POINTS or abs(far) > 0.75 * self.longest:  # as most are
             return False
         gone, home = self._apart(-2, -1), np.linalg.norm(self._apart(0, -1))
         near = home < 0.75 * min(np.linalg.norm(gone), self.longest)
