@@ -12,6 +12,9 @@ from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import OnCurve, Steps, Touch
 
 ROUNDS = 60
+ROUND_OFF = 1e-6
+"""Most that a number is where round-off keeps it from zero, over its size at both ends; where it is
+more it jumps."""
 AT_TOUCH = 1e-7
 """Duration of a contact, over that where a fold was looked for from, that is as good as a touch."""
 HALVINGS = 12
@@ -45,14 +48,16 @@ class Stretch:
             self.ends = (0.0, whole) if touch.entering else (whole, 0.0)
             self.known = [(whole, lasting)]
             return
-        self.ends = 0.0, last.way
+        is_cut_alike = last.contacts.section == first.contacts.section
+        # Not the way that it came: points may have been put in between since.
+        self.ends = 0.0, search.way(first, last) if is_cut_alike else last.way
         if last.contacts == first.contacts:
             places = _changing_most(first, last)
             if places is not None:
                 row = self.by_times = duration_row(places, len(first.times))
                 self.ends = float(row @ first.times), float(row @ last.times)
         self.known = [(self.ends[0], first)]
-        if last.contacts.section == first.contacts.section:
+        if is_cut_alike:
             self.known.append((self.ends[1], last))
 
     def place(self, share: float) -> float:
@@ -140,7 +145,9 @@ class Stretch:
                 break
             best, place, value = motion, middle, number(motion)
             if abs(value) <= solved * scale or abs(high - low) <= 1e-13 * whole:
-                return Root(motion, place, self.is_at_touch(middle, whole), solved=True)
+                at_touch = self.is_at_touch(middle, whole)
+                is_zero = at_touch or abs(value) <= ROUND_OFF * scale
+                return Root(motion, place, at_touch, solved=is_zero)
             # The end that stays twice counts half: else it would stay for long.
             if (value > 0) == (below > 0):
                 low, below, above = middle, value, above / 2 if side == 1 else above
