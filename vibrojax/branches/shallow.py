@@ -110,10 +110,11 @@ def _share(ways: Sequence[float], stops: Iterable[Sequence[_Near]]) -> float | N
             for (one, other), way in zip(pairwise(near), ways, strict=True)
         ]
         comes, stays, goes = (between == 0 for between in changes)
+        comes, goes = comes and a > -math.inf, goes and d > -math.inf
         begin = end = math.inf
-        if -math.inf < a < b and comes:
+        if comes and a < b:
             begin = b / (a - b) * before / width
-        if -math.inf < d < c and goes:
+        if goes and d < c:
             end = c / (d - c) * behind / width
         if begin + end < 1 + APART:
             turn = turning_share(ways, (a, b, c, d)) if stays else None
@@ -126,7 +127,7 @@ def _share(ways: Sequence[float], stops: Iterable[Sequence[_Near]]) -> float | N
             share = 0.5
         elif to_touch or stays:
             continue
-        elif min(b / c, c / b) < MUCH and math.isinf(begin if b > c else end):
+        elif min(b / c, c / b) < MUCH and not (comes if b > c else goes):
             share = 0.0 if b > c else 1.0  # next to it, to see how it changes
         else:
             continue

@@ -26,7 +26,6 @@ from vibrojax.branches.touches import (
     touch_between,
     vanish,
 )
-from vibrojax.steady.curve_programs import LEAST
 
 BEGIN, FIRST, SHORTEST = 1e-3, 0.02, 1e-9
 """Steps, in arclength: change of the state over its size, and of the parameter over its scale."""
@@ -303,7 +302,7 @@ class Walk:
         self.add(self.behind_last(end[0]), end[1])
         # The next may come as soon as this one came behind the last.
         since = self.points[self.touches[-2].at + 1 :] if len(self.touches) > 1 else []
-        return min(max(sum(motion.way for motion in since), LEAST), FIRST / 2)
+        return min(max(sum(motion.way for motion in since), BEGIN), FIRST / 2)
 
     def take_sooner(self, misfit: OnCurve, end: OnCurve) -> Steps:
         """Take the touch before a motion that was refused just now, if it lies before the end.
