@@ -635,6 +635,35 @@ def test_a_special_point_whose_motion_breaks_its_contacts_is_unrefined():
     assert special(contacts.Contacts((0, 0), 0, 0.0), np.array([1.0, 1.1])) == ("fold", False)
 
 
+def doubling_between(multiplier, *, way=0.52):
+    """Special point of a step of 0.52 that came from `way` behind, from a multiplier by place."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    free, none, state = contacts.Contacts((), 0, 0.0), np.zeros(0), np.ones(2)
+
+    def motion(value, way=0.0):
+        matrix = np.diag([multiplier(value), 0.1])
+        return OnCurve(free, none, state, value, 0 * state, none, 1.0, matrix, 0.0, way=way)
+
+    walk = Walk(search, 0.0, 2.0, 0.1, 10, points=[motion(0.0), motion(0.52, way)])
+    (found,) = specials_of(walk, lambda ask: motion(float(ask.value)))
+    assert found.kind == "period_doubling"
+    return found.motion.parameter, found.refined
+
+
+def test_a_step_is_as_long_as_its_ends_are_apart():
+    """Points put in between since say otherwise of the second: a doubling lies behind that."""
+    for way in (0.52, 0.4):
+        value, refined = doubling_between(lambda value: -(0.5 + value), way=way)
+        assert value == pytest.approx(0.5, abs=1e-10)
+        assert refined
+
+
+def test_where_a_number_jumps_no_special_point_is_refined():
+    value, refined = doubling_between(lambda value: -0.8 if value < 0.3 else -1.2)
+    assert value == pytest.approx(0.3, abs=1e-10)
+    assert not refined
+
+
 def test_two_folds_of_one_step_are_found():
     """The parameter has gone back at the next point, with the rate of one that rises."""
     search = CurveSearch(np.ones(2), 1e6, TURN, smooth=True, brief=1e-4)
