@@ -310,8 +310,8 @@ def _highest(ends: tuple[Array, ...], turning_back: int) -> _Tops:
     start, end = (tuple(a[which] for a in ends) for which in (slice(None, -1), slice(1, None)))
     inside, place, value = quintic_maximum(start, end)
     if turning_back:
-        of_stops = ([a[:, :turning_back] for a in side] for side in (start, end))
-        turns, there, height = _turn_back(*of_stops, inside, place, value)
+        before, behind = ([a[:, :turning_back] for a in side] for side in (start, end))
+        turns, there, height = _turn_back(before, behind, inside, place, value)
         inside, place, value = (
             jnp.concatenate([a, b[:, turning_back:]], axis=1)
             for a, b in ((turns, inside), (there, place), (height, value))
