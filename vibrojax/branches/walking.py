@@ -261,7 +261,7 @@ class Walk:
     def take(self, passed: Passed) -> Steps:
         """Take a touch, and what is next to it, as points; returns as `pass_change`.
 
-        Where contacts change before that is reached, the way goes on from there.
+        Where contacts change before, the way goes on from there; the next may be as near behind.
         """
         place, touch = passed.place, passed.touch
         while len(self.points) > 1 and self.search.is_behind(place, self.points[-1]):
@@ -300,7 +300,6 @@ class Walk:
         if not touch.entering:
             self.touches.append(touch._replace(at=len(self.points)))
         self.add(self.behind_last(end[0]), end[1])
-        # The next may come as soon as this one came behind the last.
         since = self.points[self.touches[-2].at + 1 :] if len(self.touches) > 1 else []
         return min(max(sum(motion.way for motion in since), BEGIN), FIRST / 2)
 
@@ -382,11 +381,14 @@ class Walk:
         return again
 
     def close(self) -> None:
-        """Take the first point as the last one too, unless the walk has gone past it."""
+        """Take the first point as the last one too, in the place of one behind it."""
         first, last = self.points[0], self.points[-1]
-        way = self.search.way(last, first) if first.contacts == last.contacts else 0.0
-        if way > 0:
-            self.add(replace(first, way=way, family=last.family), self.seen[0])
+        is_touch = any(touch.at == len(self.points) - 1 for touch in self.touches[-1:])
+        if first.contacts == last.contacts and self.search.way(last, first) <= 0 and not is_touch:
+            del self.points[-1], self.seen[-1]
+        last = self.points[-1]
+        if first.contacts == last.contacts and self.search.way(last, first) > 0:
+            self.add(self.behind_last(replace(first, family=last.family)), self.seen[0])
 
     def is_closed(self) -> bool:
         """Whether the last point is where the walk began."""
@@ -395,5 +397,4 @@ class Walk:
             return False
         gone, home = self._apart(-2, -1), np.linalg.norm(self._apart(0, -1))
         near = home < 0.75 * min(np.linalg.norm(gone), self.longest)
-        # Who comes by the other way has turned round.
-        return bool(near and gone @ self._apart(0, 1) > 0)
+        return bool(near and gone @ self._apart(0, 1) > 0)  # else it has turned round
