@@ -257,6 +257,13 @@ def test_touches_of_stiff_stops_where_the_curve_turns_sharply():
     assert np.max(branch.residual) < 1e-9
 
 
+def special_in_steps(rig, bounds, step):
+    """Where the special points of a branch followed in steps of up to this are."""
+    settings = vj.ContinuationSettings(longest_step=step)
+    branch = vj.continue_response(rig, frequency_ratio=bounds, settings=settings)
+    return [point.parameter for point in branch.special_points]
+
+
 def test_a_contact_that_comes_and_goes_within_a_step_is_seen():
     """A second contact with the far stop, at ratios of 0.76345 to 0.76356."""
     beam = vj.default_rig(taper=0.678462416607437, mass_ratio=9.415473385260913).beam
@@ -268,12 +275,7 @@ def test_a_contact_that_comes_and_goes_within_a_step_is_seen():
         beam, stops, base_amplitude=0.008723440501846669, damping_ratio=0.16675051099924043
     )
     for step in (0.08, 0.02):
-        branch = vj.continue_response(
-            rig,
-            frequency_ratio=vj.Range(0.74, 0.8),
-            settings=vj.ContinuationSettings(longest_step=step),
-        )
-        found = [point.parameter for point in branch.special_points]
+        found = special_in_steps(rig, vj.Range(0.74, 0.8), step)
         np.testing.assert_allclose(found, [0.7418794, 0.7634518, 0.7635637, 0.7860851], rtol=1e-7)
 
 
@@ -288,12 +290,7 @@ def test_an_approach_that_joins_the_contact_behind_it_is_seen():
         beam, stops, base_amplitude=2.589802197687496e-4, damping_ratio=0.024038816553417552
     )
     for step in (0.08, 0.02):
-        branch = vj.continue_response(
-            rig,
-            frequency_ratio=vj.Range(0.95, 1.0),
-            settings=vj.ContinuationSettings(longest_step=step),
-        )
-        found = [point.parameter for point in branch.special_points]
+        found = special_in_steps(rig, vj.Range(0.95, 1.0), step)
         np.testing.assert_allclose(found, [0.97760313, 0.97760363], rtol=1e-8)
 
 
@@ -541,7 +538,7 @@ def test_a_touch_behind_another_one_of_the_same_stop_gives_way_to_that():
         state = np.ones(2)
         value = float(parameter)
         found = OnCurve(ask.contacts, times, state, value, 0 * state, along, 1.0, np.eye(2))
-        return [dataclasses.replace(found, error=0.0, height_along=1.0, bend=-8.0)]
+        return dataclasses.replace(found, error=0.0, height_along=1.0, bend=-8.0)
 
     def seen(motion):
         met, times = contacts.with_pairs(free, none, pairs_at(motion.parameter))
@@ -549,15 +546,7 @@ def test_a_touch_behind_another_one_of_the_same_stop_gives_way_to_that():
 
     bad = dataclasses.replace(last, parameter=1.03)
     steps = touch_between(search, last, bad, seen(bad), 0.03, 0.03, (0.0, 2.0))
-    answer = None
-    while True:
-        try:
-            request = steps.send(answer)
-        except StopIteration as end:
-            passed = end.value
-            break
-        looks = isinstance(request, Look)
-        answer = [seen(motion) for motion in request.motions] if looks else solved(request)
+    passed = answered(steps, solved, seen)
     assert passed.place.parameter == pytest.approx(1.01)
 
 
@@ -606,7 +595,12 @@ def seen_at(motion, height, angle):
 
 def specials_of(walk, solved, seen=as_solved):
     """Special points of a walk, from the motions asked for and what marches of them show."""
-    steps, answer = special_points_of(walk), None
+    return answered(special_points_of(walk), solved, seen)
+
+
+def answered(steps, solved, seen):
+    """What steps return, from the motions that they ask for and what marches of them show."""
+    answer = None
     while True:
         try:
             request = steps.send(answer)

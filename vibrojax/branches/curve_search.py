@@ -231,7 +231,7 @@ class CurveSearch:
         """
         if self.whole > TURN:
             return []
-        section, measures = motion.contacts.section, seen.measures
+        measures = seen.measures
         least = UNCOUNTED * max(abs(float(measures.highest)), abs(float(measures.lowest)))
         # A contact of its own that a march did not count it has all the same.
         missed = motion.pairs if len(seen.times) < len(motion.times) else []
@@ -239,7 +239,7 @@ class CurveSearch:
         found = []
         for stop, (height, angle) in enumerate(zip(*seen.nearest, strict=True)):
             if height > least and stop not in own:
-                at = section + (angle - section) % TURN
+                at = motion.behind_section(angle)
                 found.append(Pair(stop, (0, 0), (at, at)))
         return found
 

@@ -47,15 +47,19 @@ class OnCurve:
             height_along=-self.height_along,
         )
 
+    def behind_section(self, angle: float) -> float:
+        """A drive phase, rad, as the one within a drive period from the section on."""
+        section = self.contacts.section
+        return section + (angle - section) % TURN
+
     def changes_before(self, stop: int, angle: float) -> int:
         """How often a stop changes contact from the section to a drive phase, rad.
 
         Of motions of one drive period; odd numbers where it has been touched then, and only there.
         """
-        section = self.contacts.section
-        angle = section + (angle - section) % TURN
         changes = np.asarray(self.contacts.stops, int) == stop
-        return int(np.sum(changes & (self.times < angle))) + (self.contacts.first_phase >> stop & 1)
+        before = int(np.sum(changes & (self.times < self.behind_section(angle))))
+        return before + (self.contacts.first_phase >> stop & 1)
 
     @cached_property
     def multipliers(self) -> Complex[np.ndarray, " states"]:
