@@ -28,6 +28,8 @@ LONGEST_TOUCH = 0.3
 """Duration, rad, of the first contact that is tried behind a touch."""
 BEHIND = 1e-2
 """How far a touch may lie behind the last point: contacts too shallow to count are not seen."""
+BEYOND = 1.2
+"""Share of the way to what was refused within which the touch before it may lie."""
 TOGETHER = 1e-7
 """Arclength within which touches happen at once."""
 SHARP = 1e-6
@@ -176,7 +178,7 @@ def touch_between(
         gone = search.way(last, touch)
         # Before the touch the stop came nearer and nearer.
         touch = touch if touch.height_along > 0 else touch.reversed()
-        if -BEHIND < gone < 1.2 * apart + TOGETHER and _goes_on(search, last, touch):
+        if -BEHIND < gone < BEYOND * apart + TOGETHER and _goes_on(search, last, touch):
             found.append((gone, pair.stop, angle, touch))
     if not found:
         return None
@@ -187,14 +189,18 @@ def touch_between(
 
 
 def _touch_sooner(
-    search: CurveSearch, last: OnCurve, touch: OnCurve, seen: Seen, bounds: tuple[float, float]
+    search: CurveSearch,
+    last: OnCurve,
+    touch: OnCurve,
+    seen: Seen,
+    gone: float,
+    bounds: tuple[float, float],
 ) -> Steps:
     """Go to the touch before one where contacts have come already, as a stop that is near twice."""
-    gone = touch.way - TOGETHER
-    if gone <= 0:
+    apart = (gone - 2 * TOGETHER) / BEYOND  # sooner: each of the two may show the other as ahead
+    if apart <= 0:
         return None
-    sooner = yield from touch_between(search, last, touch, seen, gone, 0.0, bounds)
-    return sooner if sooner is not None and sooner.place.way < gone else None
+    return (yield from touch_between(search, last, touch, seen, apart, 0.0, bounds))
 
 
 def _met_beyond(search: CurveSearch, motion: OnCurve, seen: Seen) -> list[Pair] | None:
@@ -276,7 +282,7 @@ def _enter(
                 motions = [touch, *between, found]
                 seen = yield Look(motions)
                 if not _only_touches(search, touch, seen[0]):
-                    sooner = yield from _touch_sooner(search, last, touch, seen[0], bounds)
+                    sooner = yield from _touch_sooner(search, last, touch, seen[0], new[0][0], bounds)
                     if sooner is not None or apart > WITHIN:
                         return sooner  # without one a shorter step shows it
                 if search.fits(found, seen[-1]):
