@@ -48,6 +48,8 @@ CLOSE = 1e-7
 TURNED = 1e-5
 """Rate of the frequency along the branch, over that of a straight one, at a fold. The frequency
 there is right to the square of it."""
+LINGERS = 300
+"""Drive periods after which a motion from behind a fold is near enough to one before it."""
 NOT_YET = 1e-2
 """Rate down to which motions have to be stable: beyond, one multiplier is all but 1."""
 
@@ -265,12 +267,14 @@ def folds_ahead(
     angular_frequency: Float[np.ndarray, " lanes"],
     way: Float[np.ndarray, " lanes"],
     beside_touch: Bool[np.ndarray, " lanes"],
+    periods: int = 0,
 ) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, "lanes states"]]:
     """Return where the branches of settled motions of one drive period end in a fold, rad/s.
 
     Also their states there. NaN where none is found on the way (rad/s, signed) that keeps to the
     contacts of the motion. `rig` says which of the rigs of `march`, its trailing axis, each lane
-    has, `beside_touch` whether its motion all but grazes a stop.
+    has, `beside_touch` whether its motion all but grazes a stop. First they are marched for so many
+    drive `periods`.
     """
     close = NEXT_TO_TOUCH * angular_frequency / np.abs(way)
     first_step = np.where(beside_touch, np.minimum(close, FIRST_STEP), FIRST_STEP)
@@ -283,6 +287,8 @@ def folds_ahead(
         system, one = rigs.pick(rig[lanes]), np.ones(len(lanes), np.int32)
         unit, every = weight[rig[lanes]], np.arange(len(lanes))
         begin, w = state[lanes], angular_frequency[lanes]
+        if periods:
+            begin, _, _ = measured(system, every, begin, w, periods * one, to_measure)
         _, _, measures = measured(system, every, begin, w, one, to_measure)
         tracks = no_tracks(len(lanes), begin.shape[1])
         track = tracks.columns()
@@ -316,10 +322,18 @@ def folds_within(
 ) -> tuple[Float[np.ndarray, " lanes"], Float[np.ndarray, "lanes states"]]:
     """Return `folds_ahead` of motions that leave their branches somewhere in a bracket, rad/s.
 
-    They are on them at its first end. A fold may lie somewhat further on than the bracket.
+    They are on them at its first end, or linger there just behind a fold, so that a march takes
+    them for settled. A fold may lie somewhat further on than the bracket.
     """
-    way = np.diff(bracket)[:, 0] / FIRST_STEP
-    return folds_ahead(march, rig, state, bracket[:, 0], way, np.zeros(len(rig), bool))
+    way, touches = np.diff(bracket)[:, 0] / FIRST_STEP, np.zeros(len(rig), bool)
+    fold, there = folds_ahead(march, rig, state, bracket[:, 0], way, touches)
+    lost = np.isnan(fold)
+    if not lost.any():
+        return fold, there
+    # All of them again: fewer may be another program.
+    begin = bracket[:, 0] - np.diff(bracket)[:, 0]
+    again, there_too = folds_ahead(march, rig, state, begin, 2 * way, touches, LINGERS)
+    return np.where(lost, again, fold), np.where(lost[:, None], there_too, there)
 
 
 def compile_fold_ahead(march: AbstractMarch, lanes: int) -> None:
