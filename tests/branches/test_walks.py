@@ -510,25 +510,28 @@ def test_no_touch_far_ahead_is_gone_to_from_a_motion_that_met_others():
     assert not asked(seen_at(last, -1.0, 3.0))
 
 
-def test_a_touch_behind_another_one_of_the_same_stop_gives_way_to_that():
-    """The stop is near at two places: it was solved for at the second that is reached."""
+def touch_of_a_stop_near_twice(reached, shown=0.0):
+    """What `touch_between` finds where a stop is touched from two parameters on, by drive phase.
+
+    At a touch marches show contacts of so long at the other place.
+    """
     search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
     free, none = contacts.Contacts((), 0, 0.5), np.zeros(0)
     last = OnCurve(free, none, np.ones(2), 1.0, np.zeros(2), none, 1.0, np.eye(2))
-    reached = {2.0: 1.02, 3.0: 1.01}
-    """Parameters from which on the stop is touched, by drive phase."""
 
     def pairs_at(parameter):
         if parameter > 1.025:  # they are one
             return [contacts.Pair(0, (0, 0), (1.8, 3.2))]
         every = {at: np.sqrt(max(parameter - begun, 0.0)) for at, begun in reached.items()}
+        if shown and parameter in reached.values():
+            every = {at: shown / 2 for at, begun in reached.items() if begun != parameter}
         return [contacts.Pair(0, (0, 0), (at - d, at + d)) for at, d in every.items() if d > 0]
 
     def solved(ask):
         parameter, times = ask.parameter, np.array(ask.times)
         along = 0 * times
         if ask.peak >= 0:  # from afar it goes to the wrong one
-            at = 2.0 if parameter > 1.02 else 3.0
+            at = 2.0 if parameter > 1.02 or parameter == reached[3.0] else 3.0
             parameter, times = reached[at], np.array([at])
         elif len(times):
             at = min(reached, key=lambda at: abs(at - times.mean()))
@@ -546,8 +549,18 @@ def test_a_touch_behind_another_one_of_the_same_stop_gives_way_to_that():
 
     bad = dataclasses.replace(last, parameter=1.03)
     steps = touch_between(search, last, bad, seen(bad), 0.03, 0.03, (0.0, 2.0))
-    passed = answered(steps, solved, seen)
+    return answered(steps, solved, seen)
+
+
+def test_a_touch_behind_another_one_of_the_same_stop_gives_way_to_that():
+    """It was solved for at the second place that is reached."""
+    passed = touch_of_a_stop_near_twice({2.0: 1.02, 3.0: 1.01})
     assert passed.place.parameter == pytest.approx(1.01)
+
+
+def test_touches_that_show_each_other_as_ahead_are_left_to_a_shorter_step():
+    """Neither gives way to the other without end."""
+    assert touch_of_a_stop_near_twice({2.0: 1.0105, 3.0: 1.01}, shown=0.4) is None
 
 
 def test_where_a_stop_that_is_near_may_change_contact():

@@ -62,6 +62,12 @@ def environment():
     return os.environ | {"JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
 
 
+def with_devices(environment, count):
+    """Environment with so many devices, compiled for as the reference is, to the last bit."""
+    flags = f"{environment.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={count}"
+    return environment | {"XLA_FLAGS": flags.strip()}
+
+
 def start(store, environment, **more):
     return subprocess.Popen(
         [sys.executable, str(PROGRAM), str(store), str(LANES)],
@@ -161,9 +167,8 @@ def test_ctrl_c_ends_a_map_and_the_same_call_continues_it(tmp_path, environment,
     store = tmp_path / "map.zarr"
     for count in (1, 2):
         least = chunks_in(store) + 2
-        devices = {"XLA_FLAGS": f"--xla_force_host_platform_device_count={count}"}
-        devices["MAP_PAUSE"] = "0.5"  # so that some of it is left, however slow this machine looks
-        process = start(store, environment, **devices)
+        # The pause is so that some of it is left, however slow this machine looks.
+        process = start(store, with_devices(environment, count), MAP_PAUSE="0.5")
         assert wait_until(lambda least=least: chunks_in(store) > least, process)
         time.sleep(choice.uniform(0, 0.1))
         process.send_signal(signal.SIGINT)
@@ -184,8 +189,8 @@ def test_ctrl_c_ends_a_map_and_the_same_call_continues_it(tmp_path, environment,
 @pytest.mark.long
 def test_several_devices_share_the_chunks(tmp_path, environment, whole):
     # The second device compiles while the first one runs. The program ends itself if that hangs.
-    devices = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "MAP_PAUSE": "0.2"}
-    used = finish(start(tmp_path / "map", environment, **devices))
+    process = start(tmp_path / "map", with_devices(environment, 2), MAP_PAUSE="0.2")
+    used = finish(process)
     assert sum(used.values()) == LANES
     assert sorted(used) == ["0", "1"]
     assert_same_store(tmp_path / "map", whole)

@@ -282,7 +282,8 @@ def _enter(
                 motions = [touch, *between, found]
                 seen = yield Look(motions)
                 if not _only_touches(search, touch, seen[0]):
-                    sooner = yield from _touch_sooner(search, last, touch, seen[0], new[0][0], bounds)
+                    gone = new[0][0]
+                    sooner = yield from _touch_sooner(search, last, touch, seen[0], gone, bounds)
                     if sooner is not None or apart > WITHIN:
                         return sooner  # without one a shorter step shows it
                 if search.fits(found, seen[-1]):

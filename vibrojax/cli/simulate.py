@@ -24,7 +24,7 @@ PERIODS = 100
 def run_simulate(options: Simulate) -> int:
     """Simulate a motion, write data and picture, print what happened.
 
-    Raises `ValueError` for wrong input. Returns 1 for a motion that diverged.
+    Raises `ValueError` for wrong input, and where the motion diverged.
     """
     started = time.perf_counter()
     data = target("--output", options.output, (".nc",))

@@ -95,7 +95,11 @@ def band(
         data[f"{name}_change"] = (dims, changes, change)
     coordinates: dict[str, Any] = {
         "number": list(tolerances),
-        "tolerance": ("number", widths, {"long_name": "Tolerance, either way", "units": "1"}),
+        "tolerance": (
+            "number",
+            widths,
+            {"long_name": "Tolerance, either way", "units": "that of the number"},
+        ),
         branch.axis: ("point", branch.values, axis_description(branch.axis)),
     }
     units = [axis_description(name)["units"] for name in tolerances]

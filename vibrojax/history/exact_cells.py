@@ -138,7 +138,8 @@ def largest(
     coordinate adds to it; of `contact_force` the largest value, all stops together.
     """
     pieces, places = exact_pieces(motion, time, states)
-    pieces = pieces.at(time[pieces.interval] + pieces.end >= start)
+    end = time[pieces.interval] + pieces.end
+    pieces = pieces.at(end >= min(start, np.max(end)))  # by round-off all may end before
     origin = time[pieces.interval] + pieces.start
     begin = np.maximum(start - origin, 0.0)
     length = np.maximum(pieces.end - pieces.start - begin, 0.0)

@@ -239,7 +239,8 @@ def largest(
     start: float,
 ) -> tuple[float, float]:
     """Return the value of largest modulus from `start` (s) on, and its time, as `exact_cells`."""
-    begin = max(0, int(np.searchsorted(time, start, side="right")) - 1)
+    # At the end of the history, its last interval.
+    begin = int(np.clip(np.searchsorted(time, start, side="right") - 1, 0, time.size - 2))
     time, states = time[begin:], states[begin:]
     read = eqx.Partial(_read_quantity, quantity=quantity, shape=jnp.asarray(shape))
     best = (-np.inf, 0.0, 0.0)

@@ -107,7 +107,7 @@ def compare_laws(
         for k, record in enumerate(histories if len(histories) > 1 else ()):
             others = [*histories[:k], *histories[k + 1 :]]
             part = identify(make, others, first, private=private, **settings, **numbers)
-            foretold.append(_foretold(make, part, record, rest, private, settings, numbers))
+            foretold.append(_foretold(make, part, record, first, private, settings, numbers))
         judged[name] = Judged(fit, tuple(foretold))
     return LawComparison(judged)
 

@@ -154,6 +154,8 @@ class HistoryMisfit:
         self.numbers = np.stack([numbers_of(history) for history in repetitions])
         self.record = records_of(repetitions)
         together = not delayed and all(on_samples(history) for history in repetitions)
+        # Records that were filled up are not equally spaced.
+        together = together and bool((np.diff(self.record[:, 0]) > 0).all())
         self.plan = self.plan._replace(
             delayed=delayed, fitted=places_of(own, channels), together=together
         )

@@ -107,7 +107,7 @@ def size_of(history: MeasuredHistory, name: str) -> float:
         return span / 10
     velocity = abs(first_value(history, "initial_velocity"))
     if name == "initial_velocity":
-        return velocity or _largest(part, "velocity") if "velocity" in part.channels else 1.0
+        return velocity or (_largest(part, "velocity") if "velocity" in part.channels else 1.0)
     if "displacement" in part.channels:
         return _largest(part, "displacement")
     return abs(first_value(history, name)) or velocity * span / 10 or 1e-3

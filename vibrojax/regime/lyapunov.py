@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -24,8 +23,6 @@ from vibrojax.stepping.stepper import AbstractStepper, with_traced_numbers
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
-
-lax = jax.lax
 
 
 class LyapunovExponent(eqx.Module):

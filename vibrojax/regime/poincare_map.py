@@ -25,8 +25,6 @@ from vibrojax.stepping.measures import ratios_of
 from vibrojax.stepping.prepared_rigs import Prepared, Rigs, prepare
 from vibrojax.stepping.stepper import AbstractMarch, AbstractStepper
 
-lax = jax.lax
-
 Report = Callable[[int], object]
 """Takes numbers of lanes that are done."""
 Numbers = Float[np.ndarray, " lanes"]

@@ -23,7 +23,7 @@ from vibrojax.stepping.linearly_implicit_step import (
     take_step,
 )
 from vibrojax.stepping.measures import Measures, Segment, no_measures
-from vibrojax.stepping.stepper import AbstractMarch, AbstractStepper, check_settings
+from vibrojax.stepping.stepper import AbstractMarch, AbstractStepper, check_settings, motion_of
 
 lax = jax.lax
 
@@ -79,7 +79,7 @@ class LinearlyImplicit(AbstractStepper):
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> StepMatrix:
         """Invert the matrix of the solve for the step, for diffrax."""
-        equations = _without_memory(args.equations)
+        equations = _without_memory(motion_of(args).equations)
         return step_matrix(linear_matrices(equations), jnp.asarray(t1 - t0))
 
     def advance(

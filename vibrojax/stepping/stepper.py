@@ -165,7 +165,8 @@ class AbstractStepper(diffrax.AbstractSolver[Any]):
         return described(self)
 
 
-def _motion_of(args: object) -> Motion:
+def motion_of(args: object) -> Motion:
+    """Return the `args` of a diffrax solver; raises `ValueError` where they are no motion."""
     if not isinstance(args, Motion):
         raise ValueError(
             "This solver needs args=motion, a Motion as made by vibrojax.motion(system, ...), "
@@ -246,7 +247,7 @@ class ExactContact(AbstractStepper):
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> ContactPhases | None:
         """Compute the phases once, for diffrax, unless `motion` has."""
-        run = _motion_of(args)
+        run = motion_of(args)
         if run.prepared is not None:
             return None
         return contact_phases(_linear(run.equations, "ExactContact"))
@@ -328,7 +329,7 @@ class ExponentialSplitting(AbstractStepper):
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> None:
         """Keep nothing between steps, for diffrax."""
-        _uncoupled(_motion_of(args).equations)
+        _uncoupled(motion_of(args).equations)
 
     def advance(
         self, motion: Motion, start: Scalar, duration: Scalar, state: State, solver_state: Any
