@@ -238,6 +238,15 @@ def test_coarse_samples_have_the_peaks_of_fine_ones():
     assert abs(middle.value) == pytest.approx(abs(seen).max(), rel=1e-6)
 
 
+@pytest.mark.parametrize("law", [vj.KelvinVoigt(5e4, 1.0), vj.Hertz(1e6)])
+def test_the_peak_from_the_end_on_is_the_last_value(strike, law):
+    history = strike(law)
+    end = float(history.time[-1])
+    last = history.peak("displacement", start=end)
+    assert last.time == pytest.approx(end, abs=1e-9)
+    assert last.value == pytest.approx(float(np.ravel(history.displacement())[-1]), rel=1e-6)
+
+
 @pytest.mark.slow
 def test_a_history_that_begins_and_ends_in_contact(oscillator):
     body = Body(

@@ -59,6 +59,20 @@ def test_laws_of_ones_own_are_judged_too():
 
 
 @pytest.mark.slow
+def test_a_number_of_the_law_may_be_private():
+    """Each record has its own, which begins at the guess of the law."""
+    runs = [record(vj.KelvinVoigt(k, 3.0, tension=False), 0.9, 1, f"{k}") for k in (200.0, 300.0)]
+
+    def law(damping):
+        make = lambda stiffness: vj.KelvinVoigt(stiffness, damping, tension=False)  # noqa: E731
+        return make, {"stiffness": 250.0}
+
+    laws = {"lossless": law(0.0), "lossy": law(3.0)}
+    found = vj.compare_laws(cart, runs, laws=laws, private=["stiffness"])
+    assert found.to_xarray()["foretold"].sel(law="lossy").max() < 2.0
+
+
+@pytest.mark.slow
 @pytest.mark.long
 def test_the_law_that_made_the_records_foretells_them_best(tmp_path):
     law = vj.HuntCrossley(250.0, 0.25)
