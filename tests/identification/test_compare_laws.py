@@ -37,14 +37,15 @@ def record(law, velocity, seed, label):
     )
 
 
+def law(damping):
+    """A law of one's own: how it is made, and where its search begins."""
+    make = lambda stiffness: vj.KelvinVoigt(stiffness, damping, tension=False)  # noqa: E731
+    return make, {"stiffness": 200.0}
+
+
 @pytest.mark.slow
 def test_laws_of_ones_own_are_judged_too():
     """Two that differ by a number are one program."""
-
-    def law(damping):
-        make = lambda stiffness: vj.KelvinVoigt(stiffness, damping, tension=False)  # noqa: E731
-        return make, {"stiffness": 200.0}
-
     lossy = vj.KelvinVoigt(250.0, 3.0, tension=False)
     runs = [record(lossy, v, k, f"{v} m/s") for k, v in enumerate((0.5, 0.9))]
     found = vj.compare_laws(cart, runs, laws={"lossless": law(0.0), "lossy": law(3.0)})
@@ -62,11 +63,6 @@ def test_laws_of_ones_own_are_judged_too():
 def test_a_number_of_the_law_may_be_private():
     """Each record has its own, which begins at the guess of the law."""
     runs = [record(vj.KelvinVoigt(k, 3.0, tension=False), 0.9, 1, f"{k}") for k in (200.0, 300.0)]
-
-    def law(damping):
-        make = lambda stiffness: vj.KelvinVoigt(stiffness, damping, tension=False)  # noqa: E731
-        return make, {"stiffness": 250.0}
-
     laws = {"lossless": law(0.0), "lossy": law(3.0)}
     found = vj.compare_laws(cart, runs, laws=laws, private=["stiffness"])
     assert found.to_xarray()["foretold"].sel(law="lossy").max() < 2.0

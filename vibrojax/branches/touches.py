@@ -235,7 +235,8 @@ def _enter(
 
     If there is one, not so far that contacts change in between: they may be the same again there.
     """
-    touch = replace(touch, family=last.family, way=abs(new[0][0]))
+    reached = new[0][0]
+    touch = replace(touch, family=last.family, way=abs(reached))
     ends = np.concatenate(
         [[touch.contacts.section], touch.times, [touch.contacts.section + search.whole]]
     )
@@ -282,8 +283,7 @@ def _enter(
                 motions = [touch, *between, found]
                 seen = yield Look(motions)
                 if not _only_touches(search, touch, seen[0]):
-                    gone = new[0][0]
-                    sooner = yield from _touch_sooner(search, last, touch, seen[0], gone, bounds)
+                    sooner = yield from _touch_sooner(search, last, touch, seen[0], reached, bounds)
                     if sooner is not None or apart > WITHIN:
                         return sooner  # without one a shorter step shows it
                 if search.fits(found, seen[-1]):

@@ -325,14 +325,14 @@ def folds_within(
     They are on them at its first end, or linger there just behind a fold, so that a march takes
     them for settled. A fold may lie somewhat further on than the bracket.
     """
-    way, touches = np.diff(bracket)[:, 0] / FIRST_STEP, np.zeros(len(rig), bool)
-    fold, there = folds_ahead(march, rig, state, bracket[:, 0], way, touches)
+    begin, width, touches = bracket[:, 0], np.diff(bracket)[:, 0], np.zeros(len(rig), bool)
+    way = width / FIRST_STEP
+    fold, there = folds_ahead(march, rig, state, begin, way, touches)
     lost = np.isnan(fold)
     if not lost.any():
         return fold, there
     # All of them again: fewer may be another program.
-    begin = bracket[:, 0] - np.diff(bracket)[:, 0]
-    again, there_too = folds_ahead(march, rig, state, begin, 2 * way, touches, LINGERS)
+    again, there_too = folds_ahead(march, rig, state, begin - width, 2 * way, touches, LINGERS)
     return np.where(lost, again, fold), np.where(lost[:, None], there_too, there)
 
 
