@@ -192,6 +192,38 @@ def test_stops_that_are_not_linear():
     check_derivative(target, 1e-2)
 
 
+@pytest.mark.slow
+def test_a_steady_motion_of_coupled_modes_and_a_hertz_stop():
+    """Contact that only the linearly implicit stepper can step, at its own error."""
+
+    def make(stiffness, damping):
+        return vj.MatrixSystem(
+            np.diag([1.0, 0.5]),
+            [[8.0, -0.5], [-0.5, damping]],  # not proportional
+            [[3e3, -1e3], [-1e3, 1e3]],
+            response_map=[0.0, 1.0],
+            stops=vj.Stop(None, 1e-3, vj.Hertz(stiffness)),
+            stop_map=[[0.0, 1.0]],
+            drive=vj.PointForce(1.0),
+            input_map=[1.0, 0.0],
+        )
+
+    history = vj.simulate(make(1e7, 1.5), frequency=7.0, periods=80, samples_per_period=32)
+    time, signals = sampled(history, ("displacement",), slice(-33, -1))
+    assert history.contact_force[-33:].max() > 10.0
+    target = misfit(
+        time - time[0],
+        signals,
+        make,
+        names=("stiffness", "damping"),
+        fixed={},
+        frequency=7.0,
+        align_phase=False,
+    )
+    residual, _ = at(np.array([1e7, 1.5]), target)
+    assert np.abs(residual).max() < 1e-2 * np.abs(signals["displacement"]).max() / 1e-5
+
+
 TIME, SIGNALS = np.linspace(0.0, 0.1, 20), {"displacement": np.sin(np.linspace(0.0, 9.0, 20))}
 
 

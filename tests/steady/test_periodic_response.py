@@ -402,6 +402,30 @@ def test_balance_needs_a_stop(rig):
         )
 
 
+@pytest.mark.slow
+def test_balance_of_coupled_modes_and_a_hertz_stop_begins_with_a_march():
+    """Only the linearly implicit stepper takes such modes with such a stop."""
+    one = vj.MatrixSystem(
+        np.diag([1.0, 0.5]),
+        [[8.0, -0.5], [-0.5, 1.5]],  # not proportional
+        [[3e3, -1e3], [-1e3, 1e3]],
+        response_map=[0.0, 1.0],
+        stops=vj.Stop(None, 1e-3, vj.Hertz(1e7)),
+        stop_map=[[0.0, 1.0]],
+        drive=vj.PointForce(1.0),
+        input_map=[1.0, 0.0],
+    )
+    assert not one.equations().is_modal
+    found = vj.periodic_response(one, frequency=7.0)
+    assert found.contacts_per_period == 1
+    assert not found.exact
+    shot = vj.periodic_response(
+        one, frequency=7.0, settings=vj.PeriodicSettings(method=vj.Shooting())
+    )
+    assert found.amplitude_ratio == pytest.approx(float(shot.amplitude_ratio), rel=1e-3)
+    assert found.leading_multiplier == pytest.approx(float(shot.leading_multiplier), rel=2e-2)
+
+
 class PendulumEquations(vj.model.AbstractEquations):
     """q'' + 0.2 q' + sin q = 0.6 a(t): linear but for nothing."""
 

@@ -23,7 +23,7 @@ from vibrojax.steady.starting import stepper
 from vibrojax.stepping import splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
 from vibrojax.stepping.input_phases import input_phases
-from vibrojax.stepping.linearly_implicit import STEPS, LinearlyImplicit
+from vibrojax.stepping.linearly_implicit import STEPS
 from vibrojax.stepping.signal_march import march_equal, march_unequal
 from vibrojax.stepping.stepper import ExactContact, ExponentialSplitting
 
@@ -156,7 +156,7 @@ def _advance(motion: Motion, exact: bool, fewest: int, start, duration, state):
     """State of one lane after a duration (s)."""
     equations = motion.equations.linear_between_contacts
     assert equations is not None  # checked before
-    method = stepper(exact) if exact or equations.is_modal else LinearlyImplicit()
+    method = stepper(equations, exact)
     if isinstance(method, ExactContact):
         return method.advance(motion, start, duration, state, None)
     rate = motion.clock
@@ -268,7 +268,7 @@ def settle(
     Returns the last states at drive phase 0, the latest first, and the drive periods after which
     they return.
     """
-    march = jax.vmap(stepper(plan.exact).prepare, out_axes=-1)(
+    march = jax.vmap(stepper(rigs.equations, plan.exact).prepare, out_axes=-1)(
         *jax.tree.map(lambda a: jnp.concatenate([a, a]), (rigs.equations, rigs.drive))
     )
     w = jnp.concatenate([rigs.angular_frequency, rigs.angular_frequency])

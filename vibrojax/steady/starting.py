@@ -9,14 +9,16 @@ from jaxtyping import Array, Bool, Complex, Float
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.model.drives import Harmonic
+from vibrojax.model.equations import LinearEquations
 from vibrojax.model.first_order import first_order
 from vibrojax.model.systems import Motion
 from vibrojax.steady.batches import in_batches, one_or_many, take
 from vibrojax.steady.condensed import cell_average
 from vibrojax.steady.lane_pool import LanePool
-from vibrojax.steady.paths import AbstractPath, FrequencyPath
+from vibrojax.steady.paths import AbstractPath, FrequencyPath, Place
 from vibrojax.steady.pool_programs import compile_ahead
 from vibrojax.steady.settled import Onwards, Settled
+from vibrojax.stepping.linearly_implicit import LinearlyImplicit
 from vibrojax.stepping.stepper import (
     AbstractMarch,
     AbstractStepper,
@@ -39,9 +41,15 @@ TOGETHER = 16
 programs for more lanes take half a minute to compile to save tenths of a second."""
 
 
-def stepper(exact: bool) -> AbstractStepper:
-    """Return the method that suits the stops."""
-    return ExactContact(1e-6) if exact else ExponentialSplitting(1e-4)
+def stepper(equations: LinearEquations, exact: bool) -> AbstractStepper:
+    """Return the method that suits the stops and, where these are not linear, the modes."""
+    if exact:
+        return ExactContact(1e-6)
+    return ExponentialSplitting(1e-4) if equations.is_modal else LinearlyImplicit(1e-4)
+
+
+def _march(place: Place, exact: bool) -> AbstractMarch:
+    return stepper(place.equations, exact).prepare(place.equations, place.drive)
 
 
 def settle(
@@ -84,7 +92,7 @@ def settled_motion(
     asks, would take up to three times as long.
     """
     place = path.at(value)
-    march = stepper(exact).prepare(place.equations, place.drive)
+    march = _march(place, exact)
     weight, frequency = march.energy_weight(), place.angular_frequency
     once = jnp.asarray(1, jnp.int32)
 
@@ -117,7 +125,7 @@ def sampled_motion(
     count = per_period * period
     motion = Motion(equations, place.drive, Harmonic(place.angular_frequency / (2 * jnp.pi)))
     interval = 2 * jnp.pi / place.angular_frequency / per_period
-    method = stepper(exact)
+    method = stepper(equations, exact)
     kept = method.init(None, 0.0, interval, state, motion)
 
     def step(state, k):
@@ -140,7 +148,7 @@ def prepared(paths, values, exact: bool):
 
     def prepare(path, value):
         place = path.at(value)
-        return stepper(exact).prepare(place.equations, place.drive), place.angular_frequency
+        return _march(place, exact), place.angular_frequency
 
     return eqx.filter_vmap(prepare, out_axes=-1)(paths, values)
 
