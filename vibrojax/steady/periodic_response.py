@@ -188,17 +188,20 @@ def _solved_exactly(path: FrequencyPath, value, period: int, state) -> ExactPoin
             state = settled_motion(path, value, period, exact=True)
         first = sampled_guess(path, value, state, period)
 
-    def attempt(carry, _):
-        guess, best = carry
+    def attempt(carry):
+        count, guess, _ = carry
         point, reading, motion = exact_point(tables, guess, period)
-        best = jax.tree.map(lambda a, b: jnp.where(best.valid, a, b), best, point)
         if not path.equations.stops:
-            return (guess, best), None
+            return count + 1, guess, point
         again = find_crossings(reading.depth, reading.change, MOST_EVENTS, period)
         section = again.events.section
         there = state_at(tables, motion, section, guess.events.section, period)
         following = Guess(again.events, Orbit(there, again.times), again.number <= MOST_EVENTS)
-        return (following, best), None
+        return count + 1, following, point
+
+    def on(carry):
+        count, _, point = carry
+        return (count <= REPAIRS) & ~point.valid
 
     n = state.size
     blank = ExactPoint(
@@ -209,8 +212,7 @@ def _solved_exactly(path: FrequencyPath, value, period: int, state) -> ExactPoin
         jnp.asarray(jnp.inf),
         jnp.asarray(False),
     )
-    (_, best), _ = lax.scan(attempt, (first, blank), None, length=1 + REPAIRS)
-    return best
+    return lax.while_loop(on, attempt, (jnp.asarray(0), first, blank))[-1]
 
 
 @compiled
