@@ -106,7 +106,7 @@ def test_second_derivatives_of_a_fold_are_differences_of_the_first(small_branch)
     np.testing.assert_allclose(second, (up - down) / (2 * step), rtol=1e-5)
 
 
-@pytest.mark.parametrize("start, low_ends", [(4e-4, False), (3.005e-4, True)])
+@pytest.mark.parametrize(("start", "low_ends"), [(4e-4, False), (3.005e-4, True)])
 def test_a_fold_curve_has_as_many_points_as_are_allowed(
     small_branch, rig, monkeypatch, start, low_ends
 ):
