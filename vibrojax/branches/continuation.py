@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
-from vibrojax.steady.condensed import balance, condensed_problem, solve_condensed
+from vibrojax.steady.condensed import balance, condensed_problem, solve_lanes
 from vibrojax.steady.paths import AbstractPath
 
 lax = jax.lax
@@ -186,17 +186,10 @@ def follow(
 
     def linearise(path, depth, parameter):
         def residual(p):
-            place = path.at(p)
             problem = condensed_problem(
-                place.equations,
-                place.drive,
-                place.angular_frequency,
-                samples=samples,
-                period=period,
-                harmonics=harmonics,
+                path.at(p), samples=samples, period=period, harmonics=harmonics
             )
-            per_second = samples / period * place.angular_frequency / (2 * jnp.pi)
-            at = balance(problem, depth, per_second, samples)
+            at = balance(problem, depth)
             return at.residual, (at, problem)
 
         value, slope, (at, problem) = jax.jvp(
@@ -207,14 +200,7 @@ def follow(
     def tick(trace: Trace, _):
         problem, at, right = jax.vmap(linearise)(paths, trace.depth, trace.parameter)
         running = trace.status == Ending.running.value
-        touching = (at.stiffness != 0) | (at.damping != 0)
-        needed = jnp.max(jnp.where(running, jnp.sum(touching, axis=(1, 2)), 0))
-        solvers = [
-            jax.vmap(lambda p, a, r, size=size: solve_condensed(p, a, r, samples, size))
-            for size in sizes
-        ]
-        level = jnp.searchsorted(jnp.asarray(sizes), needed)
-        both = lax.switch(jnp.minimum(level, len(sizes) - 1), solvers, problem, at, right)
+        both = solve_lanes(problem, at, right, sizes, running)
         return _advance(trace, both[:, 0], both[:, 1], settings, running)
 
     return lax.scan(tick, trace, None, length=TICKS)
