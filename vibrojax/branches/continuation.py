@@ -111,14 +111,11 @@ class Point(NamedTuple):
 
 
 def begin(
-    depth: Complex[AnyArray, "lanes stops harmonics"],
-    parameter: Float[AnyArray, " lanes"],
-    tangent: Complex[AnyArray, "lanes stops harmonics"] | None = None,
+    depth: Complex[AnyArray, "lanes stops harmonics"], parameter: Float[AnyArray, " lanes"]
 ) -> Trace:
     """Start every lane from a first guess of its motion at the start of the range.
 
-    With a `tangent` the guess is a point of the branch already, and the first step goes along it,
-    at the same parameter. On the host: single operations compile anew for every number of lanes.
+    On the host: single operations compile anew for every number of lanes.
     """
     lanes = depth.shape[0]
     zero: Any = np.zeros(lanes)
@@ -126,7 +123,7 @@ def begin(
     count: Any = np.zeros(lanes, np.int32)
     first: Any = np.array(depth, complex)
     at: Any = np.asarray(parameter, float) + zero
-    trace = Trace(
+    return Trace(
         depth=first,
         parameter=at,
         last_depth=first,
@@ -144,17 +141,6 @@ def begin(
         points=count,
         first_depth=first,
         first_parameter=at,
-    )
-    if tangent is None:
-        return trace
-    along: Any = np.asarray(tangent, complex)
-    size = np.sqrt(dot(first, first) / dot(along, along))
-    unit = along * size[:, None, None]
-    return trace._replace(
-        tangent=unit,
-        depth=first + FIRST_STEP * unit,
-        pinned=off,
-        started=~off,
     )
 
 
