@@ -135,13 +135,17 @@ def read_all(
     paths: AbstractPath, lane: np.ndarray, depth: np.ndarray, parameter: np.ndarray, *, period: int
 ) -> BalancedMotion:
     """Read many motions, in batches."""
+    return _of_each(_read, paths, lane, depth, parameter, period)
+
+
+def _of_each(program, paths, lane, depth, parameter, period):
     paths = jax.device_get(paths)
-    return in_batches(
-        lambda i: _read(
-            localise(paths, lane[i], parameter[i], False), depth[i], parameter[i], period
-        ),
-        len(lane),
-    )
+
+    def some(i):
+        here = localise(paths, lane[i], parameter[i], False)
+        return program(here, depth[i], parameter[i], period)
+
+    return in_batches(some, len(lane))
 
 
 def solve_balance(
@@ -209,11 +213,4 @@ def solve_all(
     paths: AbstractPath, lane: np.ndarray, depth: np.ndarray, parameter: np.ndarray, *, period: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve many balances at fixed parameters from motions nearby; spectra and which converged."""
-    paths = jax.device_get(paths)
-
-    def solve(i):
-        return _solve_here(
-            localise(paths, lane[i], parameter[i], False), depth[i], parameter[i], period
-        )
-
-    return in_batches(solve, len(lane))
+    return _of_each(_solve_here, paths, lane, depth, parameter, period)
