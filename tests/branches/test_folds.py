@@ -1,10 +1,13 @@
 """Folds as functions of the numbers of the system, and followed in a second one."""
 
+import sys
+
 import jax
 import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.branches.folds import Fold
 
 RATIO = {"axis": "frequency_ratio"}
 
@@ -101,6 +104,31 @@ def test_second_derivatives_of_a_fold_are_differences_of_the_first(small_branch)
     second = jax.hessian(at, 1)(*AT)
     up, down = (slope(AT[0], AT[1] + s * step, AT[2]) for s in (1, -1))
     np.testing.assert_allclose(second, (up - down) / (2 * step), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("start", "low_ends"), [(4e-4, False), (3.005e-4, True)])
+def test_a_fold_curve_has_as_many_points_as_are_allowed(
+    small_branch, rig, monkeypatch, start, low_ends
+):
+    """Both ways together; what one of them does not need is there for the other."""
+    module = sys.modules["vibrojax.branches.fold_curves"]
+    few, none = "the points allowed did not suffice", jax.numpy.zeros(2)
+
+    def fold_response(system, near, axis):
+        return Fold(1.2 - 100 * system.stops[0].gap, 3.0, 1.0, none, jax.numpy.asarray(True))
+
+    monkeypatch.setattr(module, "fold_response", fold_response)
+    monkeypatch.setattr(module, "compile_search", lambda *_: None)
+    monkeypatch.setattr(module, "continue_response", lambda *_, **__: small_branch)
+    bounds, gap = vj.Range(0.9, 1.3), vj.Range(3e-4, 5e-4, start)
+    for curve in vj.fold_curves(rig, frequency_ratio=bounds, gap=gap, max_points=9):
+        assert len(curve.values) == 9
+        assert np.all(np.diff(curve.values) > 0)
+        assert curve.endings == ("end of the range" if low_ends else few, few)
+        below = np.sum(curve.values < start)
+        assert below == (2 if low_ends else 4)
+    every = vj.fold_curves(rig, frequency_ratio=bounds, gap=gap)
+    assert {curve.endings for curve in every} == {("end of the range", "end of the range")}
 
 
 @pytest.mark.slow

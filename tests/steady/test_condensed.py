@@ -16,6 +16,7 @@ from vibrojax.steady.condensed import (
     solve_condensed,
     state_of,
 )
+from vibrojax.steady.paths import Place
 
 SAMPLES = 64
 
@@ -101,18 +102,18 @@ def test_condensed_solution_solves_the_linearised_balance(rig, law):
     equations = system.equations()
     w = 1.1 * equations.angular_frequency[0]
     solve = eqx.filter_jit(solve_condensed)
-    problem = eqx.filter_jit(condensed_problem)(equations, system.drive, w, samples=SAMPLES)
-    per_second = SAMPLES * w / (2 * jnp.pi)
+    place = Place(equations, system.drive, w)
+    problem = eqx.filter_jit(condensed_problem)(place, samples=SAMPLES)
 
     def residual(spectrum):
-        return balance(problem, spectrum, per_second, SAMPLES).residual
+        return balance(problem, spectrum).residual
 
     spectrum = problem.drive  # deep in both stops
-    at = eqx.filter_jit(balance)(problem, spectrum, per_second, SAMPLES)
+    at = eqx.filter_jit(balance)(problem, spectrum)
     touching = int(jnp.sum((at.stiffness != 0) | (at.damping != 0)))
     assert touching > 10
-    change = solve(problem, at, -at.residual[None], SAMPLES, 2 * SAMPLES)[0]
-    smallest = solve(problem, at, -at.residual[None], SAMPLES, touching)[0]
+    change = solve(problem, at, -at.residual[None], 2 * SAMPLES)[0]
+    smallest = solve(problem, at, -at.residual[None], touching)[0]
     np.testing.assert_allclose(smallest, change, rtol=1e-9, atol=1e-9 * np.abs(change).max())
     moved = jax.jit(lambda at, change: jax.jvp(residual, (at,), (change,))[1])(spectrum, change)
     size = np.abs(np.asarray(at.residual)).max()
@@ -123,7 +124,7 @@ def test_state_of_a_balance_without_contact_is_the_steady_state(equations, rig):
     w = 0.8 * equations.angular_frequency[0]
     none = jnp.zeros((1, SAMPLES // 2 + 1), complex)
     angle = jnp.asarray(0.7)
-    state = state_of(equations, rig().drive, w, none, angle, samples=SAMPLES)
+    state = state_of(Place(equations, rig().drive, w), none, angle)
     natural, zeta = np.asarray(equations.angular_frequency), np.asarray(equations.damping_ratio)
     w = float(w)
     phasor = 0.2e-3 * w**2 * np.asarray(equations.input_map)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
-from vibrojax.steady.condensed import balance, condensed_problem, solve_condensed
+from vibrojax.steady.condensed import balance, condensed_problem, solve_lanes
 from vibrojax.steady.paths import AbstractPath
 
 lax = jax.lax
@@ -111,14 +111,11 @@ class Point(NamedTuple):
 
 
 def begin(
-    depth: Complex[AnyArray, "lanes stops harmonics"],
-    parameter: Float[AnyArray, " lanes"],
-    tangent: Complex[AnyArray, "lanes stops harmonics"] | None = None,
+    depth: Complex[AnyArray, "lanes stops harmonics"], parameter: Float[AnyArray, " lanes"]
 ) -> Trace:
     """Start every lane from a first guess of its motion at the start of the range.
 
-    With a `tangent` the guess is a point of the branch already, and the first step goes along it,
-    at the same parameter. On the host: single operations compile anew for every number of lanes.
+    On the host: single operations compile anew for every number of lanes.
     """
     lanes = depth.shape[0]
     zero: Any = np.zeros(lanes)
@@ -126,7 +123,7 @@ def begin(
     count: Any = np.zeros(lanes, np.int32)
     first: Any = np.array(depth, complex)
     at: Any = np.asarray(parameter, float) + zero
-    trace = Trace(
+    return Trace(
         depth=first,
         parameter=at,
         last_depth=first,
@@ -144,17 +141,6 @@ def begin(
         points=count,
         first_depth=first,
         first_parameter=at,
-    )
-    if tangent is None:
-        return trace
-    along: Any = np.asarray(tangent, complex)
-    size = np.sqrt(dot(first, first) / dot(along, along))
-    unit = along * size[:, None, None]
-    return trace._replace(
-        tangent=unit,
-        depth=first + FIRST_STEP * unit,
-        pinned=off,
-        started=~off,
     )
 
 
@@ -186,17 +172,10 @@ def follow(
 
     def linearise(path, depth, parameter):
         def residual(p):
-            place = path.at(p)
             problem = condensed_problem(
-                place.equations,
-                place.drive,
-                place.angular_frequency,
-                samples=samples,
-                period=period,
-                harmonics=harmonics,
+                path.at(p), samples=samples, period=period, harmonics=harmonics
             )
-            per_second = samples / period * place.angular_frequency / (2 * jnp.pi)
-            at = balance(problem, depth, per_second, samples)
+            at = balance(problem, depth)
             return at.residual, (at, problem)
 
         value, slope, (at, problem) = jax.jvp(
@@ -207,14 +186,7 @@ def follow(
     def tick(trace: Trace, _):
         problem, at, right = jax.vmap(linearise)(paths, trace.depth, trace.parameter)
         running = trace.status == Ending.running.value
-        touching = (at.stiffness != 0) | (at.damping != 0)
-        needed = jnp.max(jnp.where(running, jnp.sum(touching, axis=(1, 2)), 0))
-        solvers = [
-            jax.vmap(lambda p, a, r, size=size: solve_condensed(p, a, r, samples, size))
-            for size in sizes
-        ]
-        level = jnp.searchsorted(jnp.asarray(sizes), needed)
-        both = lax.switch(jnp.minimum(level, len(sizes) - 1), solvers, problem, at, right)
+        both = solve_lanes(problem, at, right, sizes, running)
         return _advance(trace, both[:, 0], both[:, 1], settings, running)
 
     return lax.scan(tick, trace, None, length=TICKS)

@@ -145,6 +145,12 @@ def _job(walk: Walk, rigs: CurveRigs, lane: int, steps: Any) -> Job:
     return Job(steps, rigs, lane, walk.search.unit, walk.search.scale)
 
 
+def _found(jobs: dict[int, Job]) -> dict[int, Any]:
+    """Run jobs of lanes to their ends; what those return that find something."""
+    ends = zip(jobs, run_together(list(jobs.values())), strict=True)
+    return {lane: end for lane, end in ends if end is not None}
+
+
 def _walks(plan: Plan, rigs: CurveRigs, value: float) -> list[Walk]:
     return [
         Walk(search, plan.low, plan.high, plan.longest_step, plan.max_points)
@@ -191,16 +197,11 @@ def _by_opening(
         scale = 2.0 * max(beyond, 1e-12)
         along = walk.anew(replace(walk.search, scale=scale, asked=0), 0.0, 0.0)
         jobs[k] = _job(along, wider, i, opened(along, motion, beyond))
-    ends = dict(zip(jobs, run_together(list(jobs.values())), strict=True))
-
-    def there(k: int) -> Any:
-        end = ends[k]
+    again = {}
+    for k, end in _found(jobs).items():
         ask = at_value(end.contacts, end.times, end.state, value)
-        return (yield from walks[k].search.solve(ask))
-
-    again = {k: _job(walks[k], rigs, k, there(k)) for k, end in ends.items() if end is not None}
-    found = dict(zip(again, run_together(list(again.values())), strict=True))
-    return {k: motion for k, motion in found.items() if motion is not None}
+        again[k] = _job(walks[k], rigs, k, walks[k].search.solve(ask))
+    return _found(again)
 
 
 def _by_settling(
@@ -216,8 +217,7 @@ def _by_settling(
         for k, state, good in zip(left, states, settled, strict=True)
         if good
     }
-    found = dict(zip(jobs, run_together(list(jobs.values())), strict=True))
-    return {k: motion for k, motion in found.items() if motion is not None}
+    return _found(jobs)
 
 
 def _leapt(found: list[Special]) -> str:

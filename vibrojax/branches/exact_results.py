@@ -7,7 +7,7 @@ import numpy as np
 
 from vibrojax.branches.continuation import LONGEST_STEP
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
-from vibrojax.branches.points import ExactCurve, SpecialPoint
+from vibrojax.branches.points import BranchPoints, ExactCurve, SpecialPoint
 from vibrojax.branches.readings import Columns, references
 from vibrojax.branches.refining import Special
 from vibrojax.branches.side_by_side import CurveRigs, Job, run_together
@@ -75,16 +75,13 @@ def walk_of(curve: ExactCurve, bounds: tuple[float, float]) -> Walk:
 
 
 def motions_at(
-    path: AbstractPath, walk: Walk, period: int, places: Sequence[tuple[int, float]]
-) -> tuple[list[OnCurve | None], list[Seen | None]]:
+    branch: BranchPoints, places: Sequence[tuple[int, float]]
+) -> list[tuple[OnCurve | None, Seen | None]]:
     """Solve for motions at values, each behind a point of the branch; None where there is none."""
-    rigs = CurveRigs(path, period)
-    jobs = [
-        Job(between(walk, first, value), rigs, 0, walk.search.unit, walk.search.scale)
-        for first, value in places
-    ]
-    both = run_together(jobs)
-    return [motion for motion, _ in both], [seen for _, seen in both]
+    assert branch.curve is not None
+    walk, rigs = walk_of(branch.curve, branch.range), CurveRigs(branch.path, branch.period)
+    unit, scale = walk.search.unit, walk.search.scale
+    return run_together([Job(between(walk, *at), rigs, 0, unit, scale) for at in places])
 
 
 def between(walk: Walk, first: int, value: float) -> Steps:
@@ -116,7 +113,7 @@ def _is_within(walk: Walk, a: OnCurve, b: OnCurve, motion: OnCurve) -> bool:
     if not walk.search.is_sound(motion):
         return False
     near = a if motion.contacts.section == a.contacts.section else b
-    way = walk.search.along(near, motion.state - near.state, motion.parameter - near.parameter)
+    way = walk.search.way(near, motion)
     slack = 1e-6 + 0.05 * b.way
     return -slack <= (way if near is a else -way) <= b.way + slack
 

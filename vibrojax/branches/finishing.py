@@ -11,7 +11,6 @@ from vibrojax.branches.points import CURVES, BranchPoints, ExactCurve, SpecialPo
 from vibrojax.branches.readings import Columns, columns_of
 from vibrojax.branches.special_points import special_points
 from vibrojax.branches.tracing import Traced
-from vibrojax.steady.balanced_motion import read_all
 from vibrojax.steady.batches import take
 from vibrojax.steady.paths import AbstractPath
 
@@ -93,7 +92,8 @@ def _columns(plan: Plan, paths: AbstractPath, traced: list[Traced], lane: np.nda
     parts = []
     for at in groups:
         alike = [t.depth for t in traced if t.depth.shape[-1] == size[at[0]]]
-        parts.append(_read(plan, paths, lane[at], np.concatenate(alike), parameter[at]))
+        depth = np.concatenate(alike)
+        parts.append(columns_of(paths, lane[at], depth, parameter[at], plan.period))
     if not parts:
         return nothing(2 * int(take(paths, 0).at(jnp.asarray(plan.low)).equations.size))
     order = np.argsort(np.concatenate(groups))
@@ -109,13 +109,6 @@ def nothing(states: int) -> Columns:
         "floquet_multipliers": np.zeros((0, states), complex),
         "exact_points": np.zeros(0, bool),
     }
-
-
-def _read(
-    plan: Plan, paths: AbstractPath, lane: np.ndarray, depth: np.ndarray, parameter: np.ndarray
-) -> Columns:
-    motion = read_all(paths, lane, depth, parameter, period=plan.period)
-    return columns_of(paths, lane, parameter, motion, plan.period)
 
 
 def _arclength(traced: Traced) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Folds followed in a second number: the hysteresis region of a map as lines."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -144,7 +145,7 @@ def fold_curves(
         system: a function from named numbers to a system with linear stops.
         frequency_ratio, frequency: `vj.Range(low, high)` of the drive frequency (ratio or Hz) in
             which the first branch is traced.
-        max_points: most points of a curve.
+        max_points: most points of a curve, which is followed both ways by turns.
         numbers: arguments of the function: one `vj.Range(low, high, start)`, that of the second
             number, with the value at which the branch is traced (the middle by default); the rest
             are fixed.
@@ -189,9 +190,7 @@ def fold_curves(
         if not bool(first.found):
             continue
         turn = _turn(branch, point)
-        down, why_down = tracer.follow(begin, first, -1, turn)
-        up, why_up = tracer.follow(begin, first, 1, turn)
-        points = [*down[:0:-1], *up]
+        points, endings = tracer.follow_both_ways(begin, first, turn)
         names = ("parameter", "amplitude_ratio", "contact_force")
         folds, *others = (np.array([float(getattr(f, n)) for _, f in points]) for n in names)
         curves.append(
@@ -199,7 +198,7 @@ def fold_curves(
                 np.array([value for value, _ in points]),
                 folds,
                 *others,
-                endings=(why_down, why_up),
+                endings=endings,
                 parameter=along.name,
                 axis=axis,
                 ratio_units=branch.ratio_units,
@@ -228,16 +227,31 @@ class _Tracer(NamedTuple):
         assert isinstance(branch, Branch)
         return branch
 
-    def follow(self, begin: float, first: Fold, way: int, turn: int) -> tuple[Points, str]:
-        """Follow one fold from its start to an end of the range; points, and how it ended."""
+    def follow_both_ways(
+        self, begin: float, first: Fold, turn: int
+    ) -> tuple[Points, tuple[str, str]]:
+        """Follow one fold down and up by turns; its points, and how the curve ended at both."""
+        down: Points = [(begin, first)]
+        up = down[:]
+        ways = self.follow(down, -1, turn), self.follow(up, 1, turn)
+        endings = ["", ""]
+        for k in cycle((0, 1)):
+            if all(endings) or len(down) + len(up) > self.max_points:  # the first is of both
+                break
+            endings[k] = endings[k] or next(ways[k])
+        low, high = (ending or "the points allowed did not suffice" for ending in endings)
+        return [*down[:0:-1], *up], (low, high)
+
+    def follow(self, points: Points, way: int, turn: int) -> Generator[str, None, None]:
+        """Follow a fold from one point to an end of the range, and put the others behind that one.
+
+        Yields before each of them, and last how the curve ended.
+        """
         low, high = self.over.low, self.over.high
         width, end = high - low, high if way > 0 else low
-        points: Points = [(begin, first)]
         smooth, step = points[:], FIRST
-        while len(points) <= self.max_points:
-            value = points[-1][0]
-            if value == end:
-                return points, "end of the range"
+        while (value := points[-1][0]) != end:
+            yield ""
             following = value + way * step * width
             if way * (following - end) > -1e-9 * width:
                 following = end
@@ -264,12 +278,13 @@ class _Tracer(NamedTuple):
                 and _distance(p, guess) < BRIDGE_NEAR
             ]
             if not folds:
-                return points, "the fold ends here: beyond it no fold is near"
+                yield "the fold ends here: beyond it no fold is near"
+                return
             nearest = min(folds, key=lambda p: _distance(p, guess))
             points.append((following, nearest))
             smooth = [points[-1]] if nearest.kind == "fold" else []
             step = FIRST
-        return points, "the points allowed did not suffice"
+        yield "end of the range"
 
 
 def _distance(fold: Fold | SpecialPoint, guess: Fold) -> float:

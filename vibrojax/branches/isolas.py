@@ -19,7 +19,7 @@ from jaxtyping import Float
 from vibrojax.branches.beginning import reach
 from vibrojax.branches.comparing import COMPARED, SAME, relative_difference
 from vibrojax.branches.exact_branches import walk_from
-from vibrojax.branches.exact_results import between, columns_of_motions, motions_at, walk_of
+from vibrojax.branches.exact_results import between, columns_of_motions, motions_at
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps
 from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import BranchPoints
@@ -86,15 +86,12 @@ def _motions_of(
     branch: BranchPoints, values: Float[np.ndarray, " values"]
 ) -> dict[float, tuple[OnCurve, Seen]]:
     """A motion of the branch at each of the values where there is one."""
-    assert branch.curve is not None
     at, which, first, _ = passages_of(branch, values)
     chosen = np.flatnonzero(which == 0)
     places = [(int(first[k]), float(values[at[k]])) for k in chosen]
-    walk = walk_of(branch.curve, branch.range)
-    both = zip(*motions_at(branch.path, walk, branch.period, places), strict=True)
     return {
         value: (motion, seen)
-        for (_, value), (motion, seen) in zip(places, both, strict=True)
+        for (_, value), (motion, seen) in zip(places, motions_at(branch, places), strict=True)
         if motion is not None and seen is not None
     }
 
@@ -113,7 +110,8 @@ def _settled(
     weight = np.asarray(phases.weight)
     starts = random.normal(size=weight.shape) / weight
     states = np.repeat([seen.initial_state for _, seen in at.values()], STARTS, axis=0)
-    reached = [np.abs(_at_stops(phases.towards_stop, s)) for s in (states, starts)]
+    towards = "...sx,...x->...s", phases.towards_stop
+    reached = [np.abs(np.einsum(*towards, s)) for s in (states, starts)]
     wanted = (np.abs(phases.gap) + reached[0]).max(axis=1) * random.uniform(
         0.3, LARGEST, len(values)
     )
@@ -121,11 +119,6 @@ def _settled(
     paths = jax.tree.map(lambda a: np.asarray(a)[lanes], path)
     settled, good = settled_states(paths, values, plan.period, True, starts)
     return [(float(v), s) for v, s in zip(values[good], settled[good], strict=True)]
-
-
-def _at_stops(towards_stop: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """Displacements at the stops of some states."""
-    return np.einsum("...sx,...x->...s", towards_stop, states)
 
 
 class Turn(NamedTuple):
@@ -185,7 +178,7 @@ def _by_opening(
     if not at:
         return [], []
     assert branch.curve is not None
-    values, followed = np.array(list(at)), walk_of(branch.curve, branch.range).search
+    values, followed = np.array(list(at)), branch.curve.search
     local = jax.device_get(localise(branch.path, np.zeros(len(values), int), values, True))
     phases, rigs, jobs = local.phases, CurveRigs(OpenedPath(local.place), plan.period), []
     assert phases is not None  # of linear stops
@@ -193,7 +186,7 @@ def _by_opening(
     for k, (motion, _) in enumerate(at.values()):
         state, w = motion.state / followed.unit, local.place.angular_frequency[k]
         scale = 2 * float(reach(phases, k, state, w).max()) + 1e-12
-        search = replace(followed, scale=scale)
+        search = replace(followed, scale=scale, asked=0)
         start = replace(motion, parameter=0.0, parameter_along=0.0)
         for way in (1.0, -1.0):
             walk = Walk(

@@ -32,7 +32,6 @@ def trace_over(
     scale: float,
     way: Float[AnyArray, " lanes"] | float = 1.0,
     guess: Complex[AnyArray, "lanes stops harmonics"] | None = None,
-    tangent: Complex[AnyArray, "lanes stops harmonics"] | None = None,
     tolerance: float = 1e-4,
     longest: float = LONGEST_STEP,
     samples: int,
@@ -43,9 +42,8 @@ def trace_over(
 ) -> list[Traced]:
     """Follow the branch of every lane from its `start` within a range, upwards or (`way` -1) down.
 
-    It starts from a motion without contact, or from a `guess`; with a `tangent` the guess is on the
-    branch already, and the first step goes along it. `scale` is of `scale_of`; `samples` and
-    `harmonics` are per drive period.
+    It starts from a motion without contact, or from a `guess`. `scale` is of `scale_of`; `samples`
+    and `harmonics` are per drive period.
     """
     # Lanes are put in and taken out on the host: single operations on a device cost more, and
     # compile anew for every number of lanes.
@@ -70,7 +68,7 @@ def trace_over(
         index = one_or_many(lanes, widths[-1])
         at = settings.start[index]
         guess = np.asarray(free_motion(take(paths, index), at, samples * period, period))[:lanes]
-    begun = begin(jax.device_get(guess), settings.start, jax.device_get(tangent))
+    begun = begin(jax.device_get(guess), settings.start)
     kept_harmonics = None if harmonics is None else harmonics * period
     trace = take(begun, np.zeros(width, int))
     trace = trace._replace(status=np.full(width, Ending.completed.value, np.int32))

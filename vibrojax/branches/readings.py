@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax._tools.compiled import compiled
-from vibrojax.steady.balanced_motion import BalancedMotion
+from vibrojax.steady.balanced_motion import read_all
 from vibrojax.steady.batches import in_batches
 from vibrojax.steady.paths import AbstractPath, FrequencyPath, localise
 
@@ -40,9 +40,13 @@ def references(
 
 
 def columns_of(
-    paths: AbstractPath, lane: np.ndarray, values: np.ndarray, read: BalancedMotion, period: int
+    paths: AbstractPath, lane: np.ndarray, depth: np.ndarray, values: np.ndarray, period: int
 ) -> Columns:
-    """Return the columns of a branch at balanced motions of some lanes; displacements as ratios."""
+    """Return the columns of a branch at balanced motions of some lanes; displacements as ratios.
+
+    `depth` are the spectra of their averaged depths.
+    """
+    read = read_all(paths, lane, depth, values, period=period)
     reference, natural = references(paths, lane, values, False)
     columns = {
         "values": values,

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vibrojax._tools.described import in_short
-from vibrojax.branches.exact_results import columns_of_motions, motions_at, walk_of
+from vibrojax.branches.exact_results import columns_of_motions, motions_at
 from vibrojax.branches.points import CURVES, BranchPoints
 from vibrojax.branches.readings import Columns, columns_of
 from vibrojax.results.variables import axis_description, described_as
-from vibrojax.steady.balanced_motion import read_all, solve_all
+from vibrojax.steady.balanced_motion import solve_all
 
 if TYPE_CHECKING:
     import xarray
@@ -115,23 +115,19 @@ def _balanced(branch: BranchPoints, values, first, share) -> tuple[Columns, np.n
     places = zip(first.tolist(), share.tolist(), strict=True)
     depth = np.array([_interpolated(branch, i, s) for i, s in places])
     depth, good = solve_all(branch.path, lane, depth, values, period=branch.period)
-    motion = read_all(branch.path, lane, depth, values, period=branch.period)
-    return columns_of(branch.path, lane, values, motion, branch.period), good
+    return columns_of(branch.path, lane, depth, values, branch.period), good
 
 
 def _exact(branch: BranchPoints, values, first, share) -> tuple[Columns, np.ndarray]:
     assert branch.curve is not None
-    walk = walk_of(branch.curve, branch.range)
-    places = list(zip(first.tolist(), values.tolist(), strict=True))
-    motions, seen = motions_at(branch.path, walk, branch.period, places)
-    good = np.array([motion is not None for motion in motions])
-    # Something has to stand where there is no motion.
-    motions = [motion or walk.points[k] for motion, (k, _) in zip(motions, places, strict=True)]
-    known = next((each for each in seen if each is not None), None)
+    both = motions_at(branch, list(zip(first.tolist(), values.tolist(), strict=True)))
+    good = np.array([motion is not None for motion, _ in both])
+    known = next((seen for _, seen in both if seen is not None), None)
     if known is None:
-        return {name: np.full(len(values), np.nan) for name in CURVES} | {
-            "initial_state": np.full((len(values), len(walk.search.unit)), np.nan),
-            "floquet_multipliers": np.full((len(values), len(walk.search.unit)), np.nan),
-        }, good
-    seen = [each or known for each in seen]
+        nothing = np.full((len(values), len(branch.curve.search.unit)), np.nan)
+        columns = {name: nothing[:, 0] for name in CURVES}
+        return columns | {"initial_state": nothing, "floquet_multipliers": nothing}, good
+    # Something has to stand where there is no motion.
+    motions = [m or branch.curve.motions[k] for (m, _), k in zip(both, first, strict=True)]
+    seen = [each or known for _, each in both]
     return columns_of_motions(branch.path, 0, motions, seen, branch.period), good

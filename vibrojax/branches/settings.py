@@ -26,7 +26,7 @@ class ContinuationSettings(AbstractSettings):
     """`HarmonicBalance(samples=..., harmonics=...)` of motions that are not exact; None: by the
     tolerance."""
     max_points: int = eqx.field(static=True, default=10_000)
-    """Most points of a branch."""
+    """Most points of a branch; where it is followed both ways, as from a `start`, of each."""
     longest_step: float = eqx.field(static=True, default=LONGEST_STEP)
     """Longest step along the branch, in its arclength."""
     max_crossings: int = eqx.field(static=True, default=3)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from vibrojax.branches.contacts import TURN, Contacts
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen
+from vibrojax.steady.batches import filled_up
 from vibrojax.steady.contact_times import Events
 from vibrojax.steady.curve_programs import read_on_curve, solve_on_curve
 from vibrojax.steady.lane_table import LaneTable, table_of
@@ -197,22 +198,15 @@ def _width(rows: int) -> int:
     return 1 if rows <= WIDTH else WIDTH
 
 
-def _in_parts(rows: int, width: int):
-    """Index of rows by parts of a width, filled up with the last; and how many are their own."""
-    for first in range(0, rows, width):
-        yield np.minimum(np.arange(first, first + width), rows - 1), min(width, rows - first)
-
-
 def _solved(
     rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
 ) -> list[list[OnCurve]]:
     """Motions that were asked for, and those of their strides; errors say whether they are any."""
     if rigs.moves:  # a rig is known near the first motion of a stride only
         asks = [ask._replace(stride=ask.stride._replace(most=1)) for ask in asks]
-    found: dict[int, list[OnCurve]] = {}
-    fit = np.flatnonzero([len(ask.times) <= ROOM for ask in asks])
-    for rows, count in _in_parts(len(fit), _width(len(fit))):
-        at = fit[rows]
+    fit, every = np.flatnonzero([len(ask.times) <= ROOM for ask in asks]), []
+    width = _width(len(fit))
+    for at in fit[filled_up(len(fit), width)].reshape(-1, width):
         own = [asks[i] for i in at]
         part = _solve(rigs, lanes[at], scales[at], own)
         if rigs.moves:
@@ -224,7 +218,8 @@ def _solved(
                 for a, (m, *_) in zip(own, part, strict=True)
             ]
             part = _solve(rigs, lanes[at], scales[at], again)
-        found |= dict(zip(at[:count].tolist(), part, strict=False))
+        every += part
+    found = dict(zip(fit.tolist(), every, strict=False))
     return [found[i] if i in found else [_nothing(ask)] for i, ask in enumerate(asks)]
 
 
@@ -277,7 +272,7 @@ def _seen(
 ) -> list[Seen]:
     """What marches of motions over their period show."""
     found: list[Seen] = []
-    for rows, count in _in_parts(len(motions), LOOKED_AT):
+    for rows in filled_up(len(motions), LOOKED_AT).reshape(-1, LOOKED_AT):
         own = [motions[i] for i in rows]
         asks = [Ask(m.contacts, m.times, m.state, m.parameter) for m in own]
         table = rigs.at(lanes[rows], np.array([m.parameter for m in own]))
@@ -290,7 +285,8 @@ def _seen(
         log = read.measures.events
         sums = zip(*(column.tolist() for column in read.measures.sums), strict=True)
         nearest = zip(*read.measures.nearest.swapaxes(0, 1).tolist(), strict=True)
-        for i, measures, near in zip(range(count), sums, nearest, strict=False):
+        left = range(len(motions) - len(found))  # without those that fill it up
+        for i, measures, near in zip(left, sums, nearest, strict=False):
             number = int(log.number[i])
             kept = min(number, ROOM)
             met = Contacts(

@@ -26,26 +26,14 @@ def special_points(
     points: list[tuple[SpecialPoint, ...]] = []
     for k, own in enumerate(columns):
         found = []
-        for b in _brackets(own["values"], own["floquet_multipliers"]):
-            both = own["floquet_multipliers"][b.at : b.at + 2]
-            if b.kind != "neimark_sacker" or on_circle(both, 0.1, 1e-3).any():
-                found.append(_unrefined(b, own))
+        for kind, at in _brackets(own["values"], own["floquet_multipliers"]):
+            both = own["floquet_multipliers"][at : at + 2]
+            if kind != "neimark_sacker" or on_circle(both, 0.1, 1e-3).any():
+                found.append(_unrefined(kind, at, own))
         if period == 1 and len(own["values"]):
             found += _first_touches(paths, k, own["values"], own["contact_fraction"] > 0)
         points.append(tuple(sorted(found, key=lambda p: p.after)))
     return points
-
-
-def _special_point(kind: str, parameter: float, columns: Columns, row: int, after: int):
-    return SpecialPoint(
-        kind,
-        float(parameter),
-        float(columns["amplitude_ratio"][row]),
-        float(columns["contact_force"][row]),
-        columns["initial_state"][row],
-        after,
-        refined=False,
-    )
 
 
 def doubling_test(
@@ -69,16 +57,11 @@ def on_circle(
     return np.asarray(np.any(close & (np.abs(np.imag(multipliers)) > turned), axis=-1))
 
 
-class Bracket(NamedTuple):
-    """Where between the points of a branch a special one lies."""
+def _brackets(parameter: np.ndarray, multipliers: np.ndarray) -> list[tuple[str, int]]:
+    """Find between which points of a branch special ones lie.
 
-    kind: str
-    at: int
-    """Index of the middle point (fold) or of the first of the two."""
-
-
-def _brackets(parameter: np.ndarray, multipliers: np.ndarray) -> list[Bracket]:
-    """Find between which points of a branch special ones lie."""
+    Returns their kinds, and indices: of the middle point (fold), or of the first of the two.
+    """
     if len(parameter) < 3:
         return []
     found, step = [], np.diff(parameter)
@@ -87,22 +70,30 @@ def _brackets(parameter: np.ndarray, multipliers: np.ndarray) -> list[Bracket]:
     moving = np.flatnonzero(np.abs(step) > size)
     for before, after in pairwise(moving):
         if step[before] * step[after] < 0:
-            found.append(Bracket("fold", int(after)))
+            found.append(("fold", int(after)))
     for kind, test in (("period_doubling", doubling_test), ("neimark_sacker", torus_test)):
         value = test(multipliers)
         for i in np.flatnonzero(value[:-1] * value[1:] < 0):
-            found.append(Bracket(kind, int(i)))
+            found.append((kind, int(i)))
     return found
 
 
-def _unrefined(bracket: Bracket, columns: Columns) -> SpecialPoint:
+def _unrefined(kind: str, at: int, columns: Columns) -> SpecialPoint:
     """Point of a balanced branch: the vertex of a parabola, or the middle of a step."""
-    values, at = columns["values"], bracket.at
-    if bracket.kind == "fold":
+    values = columns["values"]
+    if kind == "fold":
         parameter = parabola_vertex(*values[at - 1 : at + 2].tolist())
     else:
         parameter = (values[at] + values[at + 1]) / 2
-    return _special_point(bracket.kind, parameter, columns, at, at)
+    return SpecialPoint(
+        kind,
+        float(parameter),
+        float(columns["amplitude_ratio"][at]),
+        float(columns["contact_force"][at]),
+        columns["initial_state"][at],
+        after=at,
+        refined=False,
+    )
 
 
 def parabola_vertex(before: float, middle: float, after: float) -> float:

@@ -270,10 +270,9 @@ def _enter(
             if found is not None and search.is_sound(found):
                 grows = found.times_along @ by_times > 0
                 found = found if grows else found.reversed()
-                change = found.state - touch.state, found.parameter - touch.parameter
-                gone = search.along(touch, *change)
+                gone = search.way(touch, found)
                 # Too far on the contact may get shorter again, or is one from before the touch.
-                turned = search.along(found, *change) < 0 or (search.smooth and gone < -SHARP)
+                turned = search.way(found, touch) > 0 or (search.smooth and gone < -SHARP)
                 if turned or not _is_within(found, bounds):
                     first *= 0.4
                     continue
@@ -324,11 +323,11 @@ def by_duration(search: CurveSearch, last: OnCurve, bounds: tuple[float, float])
             if found is None or not search.is_sound(found):
                 continue
             found = found if found.times_along @ by_times * relative > 0 else found.reversed()
-            gone = found.state - last.state, found.parameter - last.parameter
-            ahead = min(search.along(found, *gone), search.along(last, *gone)) > 0
+            way = search.way(last, found)
+            ahead = way > 0 > search.way(found, last)
             if not ahead or not _is_within(found, bounds):
                 continue
             (seen,) = yield Look([found])
             if search.fits(found, seen):
-                return replace(found, family=last.family, way=search.along(last, *gone)), seen
+                return replace(found, family=last.family, way=way), seen
     return None

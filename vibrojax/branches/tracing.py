@@ -30,9 +30,7 @@ def free_motion(paths: AbstractPath, parameter, samples: int, period: int):
 
     def one(path, p):
         place = path.at(p)
-        problem = condensed_problem(
-            place.equations, place.drive, place.angular_frequency, samples=samples, period=period
-        )
+        problem = condensed_problem(place, samples=samples, period=period)
         resonances = undamped_at(place.equations, place.drive)
         endless = is_unbounded(resonances, place.angular_frequency)
         return jnp.where(endless, jnp.nan, problem.drive)

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float
+from jaxtyping import Bool, Complex, Float
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.eigenvalues import eigenvalues
@@ -90,17 +90,11 @@ class LiveCurve(NamedTuple):
         return found
 
 
-def _balanced_at(path: FrequencyPath, depth, frequency) -> tuple[Place, Problem, Array, Balance]:
-    """Evaluate the balance of a motion with this spectrum of averaged depth.
-
-    Returns place, condensed problem, samples per second and the balance.
-    """
-    samples = 2 * (depth.shape[-1] - 1)
+def _balanced_at(path: FrequencyPath, depth, frequency) -> tuple[Place, Problem, Balance]:
+    """Place, condensed problem and balance of a motion with this spectrum of averaged depth."""
     place = path.at(frequency)
-    w = place.angular_frequency
-    per_second = samples * w / (2 * jnp.pi)
-    problem = condensed_problem(place.equations, place.drive, w, samples=samples)
-    return place, problem, per_second, balance(problem, depth, per_second, samples)
+    problem = condensed_problem(place, samples=2 * (depth.shape[-1] - 1))
+    return place, problem, balance(problem, depth)
 
 
 def _contact_monodromy(path: FrequencyPath, place: Place, depth, force):
@@ -111,7 +105,7 @@ def _contact_monodromy(path: FrequencyPath, place: Place, depth, force):
     value, change = jnp.fft.irfft(jnp.stack([motion, differentiate(motion, samples)]), samples)
     found = find_crossings(value, change, MOST_EVENTS, 1)
     events, w = found.events, place.angular_frequency
-    state = state_of(place.equations, place.drive, w, force, events.section, samples=samples)
+    state = state_of(place, force, events.section)
     tables, orbit = tables_of(path.phases, place.drive, w), Orbit(state, found.times)
     jacobian = follow_events(tables, events, orbit, 1, with_jacobian=True).jacobian
     assert jacobian is not None
@@ -125,10 +119,10 @@ def _glance(paths: FrequencyPath, depth, frequency, sensor: Sensor):
     path = take(paths, 0)
 
     def one(depth, frequency):
-        place, problem, per_second, at = _balanced_at(path, depth, frequency)
+        place, problem, at = _balanced_at(path, depth, frequency)
         shown, force = observe(sensor, place, problem, at.force, depth)
         if path.phases is None:
-            matrix = kicked_monodromy(place, at, 1 / per_second)
+            matrix = kicked_monodromy(place, at, 1 / problem.per_second)
         else:
             matrix = _contact_monodromy(path, place, depth, at.force)
         return shown, force, jnp.max(jnp.abs(eigenvalues(matrix)))
@@ -278,7 +272,7 @@ class LiveOrbit(NamedTuple):
 
 @compiled
 def _waves(paths, depth, frequency):
-    place, problem, per_second, at = _balanced_at(take(paths, 0), depth, frequency)
+    place, problem, at = _balanced_at(take(paths, 0), depth, frequency)
     samples = 2 * (depth.shape[-1] - 1)
     average = cell_average(samples, depth.shape[-1])
     push = jnp.einsum("bk,bk->k", problem.receptance.response_from_force, at.force / average)
@@ -288,7 +282,7 @@ def _waves(paths, depth, frequency):
     # The highest harmonic has no phase at the samples: it is left out.
     waves = jnp.fft.irfft(FINER * rows.at[:, -1].set(0.0), FINER * samples)
     value, rate = jnp.split(waves, 2)
-    rate = rate * per_second
+    rate = rate * problem.per_second
     stops = enumerate(without_memory(place.equations.stops), start=1)
     forces = jnp.stack([stop.force(value[a], rate[a]) for a, stop in stops])
     return value[0], rate[0], forces, jnp.any(value[1:] > 0, axis=0)

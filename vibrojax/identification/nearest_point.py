@@ -16,11 +16,7 @@ from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.branches.continuation import dot
 from vibrojax.identification.sensor import Sensor, observe, seen_from
-from vibrojax.steady.condensed import (
-    balance,
-    condensed_problem,
-    solve_condensed,
-)
+from vibrojax.steady.condensed import balance, condensed_problem, solve_lanes
 from vibrojax.steady.paths import FrequencyPath, Place
 
 lax = jax.lax
@@ -102,11 +98,8 @@ def nearest_points(
             is_leaf=lambda leaf: leaf is None,
         )
         place = Place(path.equations, path.drive, frequency * path.unit)
-        problem = condensed_problem(
-            place.equations, place.drive, place.angular_frequency, samples=samples
-        )
-        per_second = samples * place.angular_frequency / (2 * jnp.pi)
-        here = balance(problem, depth, per_second, samples)
+        problem = condensed_problem(place, samples=samples)
+        here = balance(problem, depth)
         channels = observe(sensor, place, problem, here.force, depth)
         return here.residual, seen_from(sensor, channels, phase, jnp), (problem, here)
 
@@ -183,20 +176,13 @@ def nearest_points(
         problem, here, right, channels, seen = jax.vmap(linearise)(
             paths, slopes, target.phase, at_depth, at_frequency
         )
-        touching = (here.stiffness != 0) | (here.damping != 0)
-        needed = jnp.max(jnp.sum(touching, axis=(1, 2)))
-        level = jnp.searchsorted(jnp.asarray(sizes), needed)
-        solved = lax.switch(level, solvers, problem, here, right)
+        solved = solve_lanes(problem, here, right, sizes)
         return k + 1, jax.vmap(advance)(
             target, at_depth, at_frequency, last, lost, solved, channels, seen
         )
 
     unknowns = depth.shape[1] * samples
     sizes = (*(unknowns * k // 16 for k in (1, 3, 6, 9)), unknowns)
-    solvers = [
-        jax.vmap(lambda p, a, r, size=size: solve_condensed(p, a, r, samples, size))
-        for size in sizes
-    ]
 
     def unfinished(carry):
         return (carry[0] <= rounds) & ~jnp.all(settled(carry[1], close))

@@ -62,8 +62,7 @@ def observe(
     the base.
     """
     count = depth.shape[-1]
-    samples = 2 * (count - 1)
-    average = cell_average(samples, count)
+    average = cell_average(2 * (count - 1), count)
     values = []
     if sensor.quantity is not None:
         push = jnp.einsum("bk,bk->k", problem.receptance.response_from_force, force / average)
@@ -72,8 +71,7 @@ def observe(
         if sensor.with_phase:
             values.append(jnp.angle(1j * spectrum[1]))  # the drive is a sine
     if sensor.with_force:
-        per_second = samples * place.angular_frequency / (2 * jnp.pi)
-        values.append(_largest_force(place, depth / average, per_second))
+        values.append(_largest_force(place, depth / average, problem.per_second))
     return jnp.stack(values)
 
 

@@ -165,10 +165,8 @@ def observe_points(paths, sensor, depth, frequency):
 
     def one(path, depth, frequency):
         place = path.at(frequency)
-        w = place.angular_frequency
-        problem = condensed_problem(place.equations, place.drive, w, samples=samples)
-        at = balance(problem, depth, samples * w / (2 * jnp.pi), samples)
-        return observe(sensor, place, problem, at.force, depth)
+        problem = condensed_problem(place, samples=samples)
+        return observe(sensor, place, problem, balance(problem, depth).force, depth)
 
     return jax.vmap(one)(paths, depth, frequency)
 

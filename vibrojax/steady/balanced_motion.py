@@ -65,11 +65,10 @@ def refined(
 def read_balanced(place: Place, depth: Spectra, period: int) -> BalancedMotion:
     """Read a balanced motion on a finer grid, and judge it there."""
     samples = FINER * 2 * (depth.shape[-1] - 1)
-    equations, drive, w = place.equations, place.drive, place.angular_frequency
-    problem = condensed_problem(equations, drive, w, samples=samples, period=period)
-    per_second = samples / period * w / (2 * jnp.pi)
+    problem = condensed_problem(place, samples=samples, period=period)
+    per_second = problem.per_second
     fine = refined(depth, FINER)
-    at = balance(problem, fine, per_second, samples)
+    at = balance(problem, fine)
     average = cell_average(samples, fine.shape[-1])
     push = jnp.einsum("bk,bk->k", problem.receptance.response_from_force, at.force / average)
     response = jnp.fft.irfft(problem.response_drive + push, samples)
@@ -90,7 +89,7 @@ def read_balanced(place: Place, depth: Spectra, period: int) -> BalancedMotion:
         contact_force=largest(jnp.concatenate(forces)),
         contact_fraction=jnp.mean(jnp.any(touching, axis=0)),
         contacts=jnp.sum(entered) + zero,
-        initial_state=state_of(equations, drive, w, at.force, zero, samples=samples, period=period),
+        initial_state=state_of(place, at.force, zero, period=period),
         multipliers=eigenvalues(jax.lax.stop_gradient(kicked_monodromy(place, at, 1 / per_second))),
         residual=jnp.sqrt(jnp.sum(jnp.abs(at.residual) ** 2)) / size,
     )
@@ -99,12 +98,9 @@ def read_balanced(place: Place, depth: Spectra, period: int) -> BalancedMotion:
 def balanced_strobes(place: Place, depth: Spectra, period: int) -> Float[Array, "periods states"]:
     """Return the states of a balanced motion at drive phase 0, one for each drive period of it."""
     samples = 2 * (depth.shape[-1] - 1)
-    equations, drive, w = place.equations, place.drive, place.angular_frequency
-    problem = condensed_problem(equations, drive, w, samples=samples, period=period)
-    force = balance(problem, depth, samples / period * w / (2 * jnp.pi), samples).force
-    return jax.vmap(
-        lambda phase: state_of(equations, drive, w, force, phase, samples=samples, period=period)
-    )(2 * np.pi * jnp.arange(period))
+    force = balance(condensed_problem(place, samples=samples, period=period), depth).force
+    phases = 2 * np.pi * jnp.arange(period)
+    return jax.vmap(lambda phase: state_of(place, force, phase, period=period))(phases)
 
 
 def kicked_monodromy(place: Place, at, interval):
@@ -139,13 +135,17 @@ def read_all(
     paths: AbstractPath, lane: np.ndarray, depth: np.ndarray, parameter: np.ndarray, *, period: int
 ) -> BalancedMotion:
     """Read many motions, in batches."""
+    return _of_each(_read, paths, lane, depth, parameter, period)
+
+
+def _of_each(program, paths, lane, depth, parameter, period):
     paths = jax.device_get(paths)
-    return in_batches(
-        lambda i: _read(
-            localise(paths, lane[i], parameter[i], False), depth[i], parameter[i], period
-        ),
-        len(lane),
-    )
+
+    def some(i):
+        here = localise(paths, lane[i], parameter[i], False)
+        return program(here, depth[i], parameter[i], period)
+
+    return in_batches(some, len(lane))
 
 
 def solve_balance(
@@ -169,16 +169,8 @@ def solve_balance(
     unknowns = len(place.equations.stops) * total
 
     def at(place, spectrum):
-        problem = condensed_problem(
-            place.equations,
-            place.drive,
-            place.angular_frequency,
-            samples=total,
-            period=period,
-            harmonics=kept,
-        )
-        per_second = samples * place.angular_frequency / (2 * jnp.pi)
-        return problem, balance(problem, spectrum, per_second, total)
+        problem = condensed_problem(place, samples=total, period=period, harmonics=kept)
+        return problem, balance(problem, spectrum)
 
     def size(spectrum):
         return jnp.sqrt(jnp.sum(jnp.abs(spectrum) ** 2))
@@ -186,7 +178,7 @@ def solve_balance(
     def newton(carry):
         spectrum, _, tries = carry
         problem, here = at(still, spectrum)
-        change = solve_condensed(problem, here, -here.residual[None], total, unknowns)[0]
+        change = solve_condensed(problem, here, -here.residual[None], unknowns)[0]
         relative = size(change) / size(spectrum)
         # A long step is shortened, so that contacts are not gained and lost by the dozen.
         return spectrum + change * jnp.minimum(1.0, 0.3 / relative), relative, tries + 1
@@ -201,7 +193,7 @@ def solve_balance(
     _, now = at(place, found)
     converged = jnp.isfinite(relative) & (relative <= CONVERGED)
     right = -jnp.where(converged, now.residual, 0.0)[None]
-    change = solve_condensed(problem, factor, right, total, unknowns)[0]
+    change = solve_condensed(problem, factor, right, unknowns)[0]
     return found + change, converged
 
 
@@ -221,11 +213,4 @@ def solve_all(
     paths: AbstractPath, lane: np.ndarray, depth: np.ndarray, parameter: np.ndarray, *, period: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve many balances at fixed parameters from motions nearby; spectra and which converged."""
-    paths = jax.device_get(paths)
-
-    def solve(i):
-        return _solve_here(
-            localise(paths, lane[i], parameter[i], False), depth[i], parameter[i], period
-        )
-
-    return in_batches(solve, len(lane))
+    return _of_each(_solve_here, paths, lane, depth, parameter, period)

@@ -31,9 +31,6 @@ def one_or_many(lanes: int, many: int) -> np.ndarray:
 
 def in_batches(function, count: int, width: int = BATCH):
     """Run a function of an index over batches of one size, the last one filled up by repeats."""
-    parts = []
-    for first in range(0, count, width):
-        index = np.minimum(np.arange(first, first + width), count - 1)
-        parts.append(function(index))
+    parts = [function(index) for index in filled_up(count, width).reshape(-1, width)]
     parts = jax.device_get(parts)
     return jax.tree.map(lambda *a: np.concatenate(a)[:count], *parts)

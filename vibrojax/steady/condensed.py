@@ -10,21 +10,22 @@ makes folds that are not there; averaged force and averaged depth are then relat
 itself.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, ArrayLike, Bool, Complex, Float
 
 from vibrojax._tools.eigenvalues import eigen
-from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.first_order import first_order, without_memory
 from vibrojax.model.laws import can_pull, linear_coefficients
 from vibrojax.model.stops import Stop
 from vibrojax.steady.methods import check_balance
+from vibrojax.steady.paths import Place
 
 Scalar = Float[Array, ""]
 Spectra = Complex[Array, "stops harmonics"]
@@ -100,6 +101,8 @@ class Problem(eqx.Module):
     """Spectrum of the averaged depth without contact."""
     response_drive: Complex[Array, " harmonics"]
     """Spectrum of the reported displacement without contact."""
+    per_second: Scalar
+    """Samples in a second."""
 
 
 def cell_average(samples: int, harmonics: int) -> Float[np.ndarray, " harmonics"]:
@@ -108,27 +111,19 @@ def cell_average(samples: int, harmonics: int) -> Float[np.ndarray, " harmonics"
 
 
 def condensed_problem(
-    equations: LinearEquations,
-    drive: AbstractDrive,
-    angular_frequency: Scalar,
-    *,
-    samples: int,
-    period: int = 1,
-    harmonics: int | None = None,
+    place: Place, *, samples: int, period: int = 1, harmonics: int | None = None
 ) -> Problem:
     """Set the problem up for motions over `period` drive periods, `samples` in all.
 
     `harmonics` of the motion are kept, counted over those periods; by default as many as the
     samples carry.
     """
-    count = samples // 2 + 1
+    equations, w, count = place.equations, place.angular_frequency, samples // 2 + 1
     check_balance(equations.stops)
-    base = angular_frequency / period
-    table = receptance(equations, base * jnp.arange(count))
+    table = receptance(equations, w / period * jnp.arange(count))
     kept = np.arange(count) <= (count if harmonics is None else harmonics)
     table = Receptance(*(jnp.where(kept, t, 0.0) for t in table))
-    amplitude = drive.complex_amplitude(angular_frequency, jnp.zeros_like(angular_frequency))
-    wave = jnp.zeros(count, complex).at[period].set(-1j * amplitude * samples / 2)
+    wave = _input_wave(place, samples, period)
     gaps = jnp.stack([jnp.asarray(stop.gap, float) for stop in equations.stops])
     still = jnp.zeros(count).at[0].set(samples)
     averaged = table.stop_from_input * wave * cell_average(samples, count)
@@ -141,7 +136,16 @@ def condensed_problem(
         receptance=table,
         drive=averaged - gaps[:, None] * still,
         response_drive=moved + response * still,
+        per_second=samples / period * w / (2 * jnp.pi),
     )
+
+
+def _input_wave(place: Place, samples: int, period: int) -> Complex[Array, " harmonics"]:
+    """Spectrum of the drive's input."""
+    w = place.angular_frequency
+    amplitude = place.drive.complex_amplitude(w, jnp.zeros_like(w))
+    none = jnp.zeros(samples // 2 + 1, complex)
+    return none.at[period].set(-1j * amplitude * samples / 2)
 
 
 def _under_load(equations: LinearEquations) -> Float[Array, " states"]:
@@ -206,8 +210,9 @@ class Balance(NamedTuple):
     """Slope in the change of depth per sample."""
 
 
-def balance(problem: Problem, depth: Spectra, per_second: Scalar, samples: int) -> Balance:
+def balance(problem: Problem, depth: Spectra) -> Balance:
     """Evaluate the residual depth - depth without contact - receptance * force."""
+    samples, per_second = 2 * (depth.shape[-1] - 1), problem.per_second
     both = jnp.stack([depth, differentiate(depth, samples)])
     value, change = jnp.fft.irfft(both, samples)
     forces, slopes, slopes_of_change = [], [], []
@@ -237,7 +242,6 @@ def solve_condensed(
     problem: Problem,
     at: Balance,
     right: Complex[Array, "sides stops harmonics"],
-    samples: int,
     capacity: int,
 ) -> Complex[Array, "sides stops harmonics"]:
     """Solve the linearised balance for several right-hand sides (a change of the residual).
@@ -245,7 +249,7 @@ def solve_condensed(
     The unknown is the change of force at the samples in contact, of which there may be at most
     `capacity`; the change of the motion follows from it.
     """
-    stops = len(problem.stops)
+    stops, samples = at.stiffness.shape
     kernel = problem.receptance.stop_from_force
     both = jnp.fft.irfft(jnp.stack([kernel, differentiate(kernel, samples)]), samples)
     active = ((at.stiffness != 0) | (at.damping != 0)).reshape(-1)
@@ -273,22 +277,35 @@ def solve_condensed(
     return right + jnp.einsum("abk,sbk->sak", kernel, spectrum)
 
 
+def solve_lanes(
+    problems: Problem,
+    at: Balance,
+    right: Complex[Array, "lanes sides stops harmonics"],
+    capacities: Sequence[int],
+    running: Bool[ArrayLike, "*lanes"] = True,
+) -> Complex[Array, "lanes sides stops harmonics"]:
+    """Solve the linearised balances of many lanes, in the least capacity that holds them all.
+
+    Lanes that are not `running` do not count.
+    """
+    touching = (at.stiffness != 0) | (at.damping != 0)
+    needed = jnp.max(jnp.where(running, jnp.sum(touching, axis=(1, 2)), 0))
+    solvers = [
+        jax.vmap(lambda p, a, r, size=size: solve_condensed(p, a, r, size)) for size in capacities
+    ]
+    level = jnp.searchsorted(jnp.asarray(capacities), needed)
+    return jax.lax.switch(level, solvers, problems, at, right)
+
+
 def state_of(
-    equations: LinearEquations,
-    drive: AbstractDrive,
-    angular_frequency: Scalar,
-    force: Spectra,
-    angle: Scalar,
-    *,
-    samples: int,
-    period: int = 1,
+    place: Place, force: Spectra, angle: Scalar, *, period: int = 1
 ) -> Float[Array, " states"]:
     """State at a drive phase (rad) of the motion with this spectrum of averaged force."""
-    count = samples // 2 + 1
-    w = angular_frequency / period * jnp.arange(count)
+    equations, count = place.equations, force.shape[-1]
+    samples = 2 * (count - 1)
+    w = place.angular_frequency / period * jnp.arange(count)
     table = _transfer(equations, w, states=True)
-    amplitude = drive.complex_amplitude(angular_frequency, jnp.zeros_like(angular_frequency))
-    wave = jnp.zeros(count, complex).at[period].set(-1j * amplitude * samples / 2)
+    wave = _input_wave(place, samples, period)
     inputs = jnp.concatenate([force / cell_average(samples, count), wave[None]])
     spectrum = jnp.einsum("rck,ck->rk", table, inputs)
     twice = jnp.full(count, 2.0).at[0].set(1.0).at[-1].set(0.0)
