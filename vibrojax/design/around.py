@@ -180,7 +180,7 @@ class _Curve:
         found["impulse"] = mean_force(tables, motion, self.period, count) * turn
         if means:
             square, harmonic = mean_square_and_harmonic(tables, motion, self.period, count)
-            fraction = contact_fraction(tables, motion, self.period)
+            fraction = contact_fraction(motion, self.period)
         else:
             read = read_motion(tables, self.motion.events, motion, self.period)
             square, harmonic = read.mean_square, read.first_harmonic

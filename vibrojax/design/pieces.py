@@ -108,11 +108,10 @@ class Between:
     def __init__(self, known: KnownBranch, a: Knot, b: Knot):
         self.a, self.b = a.motion, b.motion
         self.stretch = known.walk.stretch(a.cell)
-        self.places = self._place(known, a, 0), self._place(known, b, 1)
+        self.places = self._place(self.a, 0), self._place(self.b, 1)
 
-    def _place(self, known: KnownBranch, knot: Knot, side: int) -> float:
-        """Where a knot lies on the stretch."""
-        motion = knot.motion
+    def _place(self, motion: OnCurve, side: int) -> float:
+        """Where the motion of a knot lies on the stretch."""
         is_end = motion is (self.stretch.first, self.stretch.last)[side]
         return self.stretch.ends[side] if is_end else self.place_of(motion)
 
