@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax._tools.described import recipe
 from vibrojax.design.measures import NoSuchPlace
 from vibrojax.design.pieces import pieces_of
 
@@ -98,6 +99,10 @@ def test_a_stable_part_between_a_fold_and_a_touch_counts(response):
     upper, lower = pieces_of(response.known)
     assert upper.high == pytest.approx(high, rel=1e-12)
     assert lower.low == pytest.approx(low, rel=1e-12)
+
+
+def test_a_branch_says_which_rig_it_is_of(response):
+    assert response.branch.attributes["rig"] == recipe(rig())
 
 
 def test_impulse_is_what_the_history_says(response):
@@ -195,11 +200,20 @@ def test_the_band_of_a_tolerance(response):
 def test_a_propagated_gap():
     import scipy.stats
 
+    branches = []
+
+    def force(response):
+        branches.append(response.branch)
+        return response.peak("contact_force")
+
     found = vj.propagate(
         rig,
         {"gap": scipy.stats.norm(4e-4, 2e-6)},
-        {"contact_force": lambda r: r.peak("contact_force")},
+        {"contact_force": force},
         frequency_ratio=RANGE,
         settings=vj.design.PropagationSettings(samples=8),
     )
     assert found.deviation[0] == pytest.approx(found.first_order_deviation[0], rel=0.2)
+    # Of rigs side by side the first is described, and each says in what it differs.
+    gaps = [branch.labels["gap"] for branch in branches if branch.labels]
+    assert sorted(gaps) == sorted(found.samples[:, 0])

@@ -11,6 +11,7 @@ from analytic import Analytic
 import vibrojax as vj
 from vibrojax.design.distributions import distributions_of
 from vibrojax.design.propagate import PropagationSettings, propagate, propagated
+from vibrojax.design.quasi_random import sobol_sequence
 
 GAP = scipy.stats.norm(3e-4, 2e-5)
 STIFFNESS = scipy.stats.uniform(4000.0, 3000.0)
@@ -151,12 +152,17 @@ def test_the_call_makes_the_evaluator(monkeypatch):
         found.check = lambda place: asked.update(place=place)
         return found
 
-    monkeypatch.setattr(
-        importlib.import_module("vibrojax.design.propagate"), "RigEvaluator", evaluator
-    )
+    def draw(*given):
+        drawn.append(given)
+        return sobol_sequence(*given)
+
+    drawn, module = [], importlib.import_module("vibrojax.design.propagate")
+    monkeypatch.setattr(module, "RigEvaluator", evaluator)
+    monkeypatch.setattr(module, "sobol_sequence", draw)
     found = propagate(
         vj.default_rig, {"gap": GAP}, FORCE, frequency_ratio=RANGE, taper=0.3, num_modes=2
     )
+    assert drawn == [(64, 1, 0)]  # once, for the rigs that are checked and those evaluated
     assert asked.pop("settings").max_points == 10_000
     assert asked.pop("place") == pytest.approx([3e-4])
     assert asked == {

@@ -1,5 +1,6 @@
 """Which law explains force records: the one that made them; none, where another thing did."""
 
+import importlib
 from types import SimpleNamespace
 
 import matplotlib.figure
@@ -66,6 +67,32 @@ def test_a_number_of_the_law_may_be_private():
     laws = {"lossless": law(0.0), "lossy": law(3.0)}
     found = vj.compare_laws(cart, runs, laws=laws, private=["stiffness"])
     assert found.to_xarray()["foretold"].sel(law="lossy").max() < 2.0
+
+
+def test_of_a_record_left_out_only_private_numbers_have_bounds(monkeypatch):
+    def fitted(make, measured, guess, bounds=None, *, private=(), **others):
+        asked.append((sorted(guess), sorted(bounds or ())))
+        made = object.__new__(Identification)  # what a comparison reads of it
+        object.__setattr__(made, "estimate", {n: 1.0 for n in guess if n not in private})
+        object.__setattr__(made, "chi_square", 1.0)
+        return made
+
+    asked, module = [], importlib.import_module("vibrojax.identification.compare_laws")
+    monkeypatch.setattr(module, "identify", fitted)
+    time = np.linspace(0.0, 1.0, 20)
+    force = np.maximum(np.sin(6 * time), 0.0)
+    runs = [MeasuredHistory(time, contact_force=force, initial_velocity=v) for v in (0.5, 0.9)]
+    bounds = dict(stiffness=vj.Range(10.0, 1e4), initial_velocity=vj.Range(0.1, 2.0))
+    vj.compare_laws(
+        cart,
+        runs,
+        dict(initial_velocity=None),
+        dict(lossless=law(0.0), lossy=law(3.0)),
+        bounds,
+        private=["initial_velocity"],
+    )
+    whole, left_out = (["initial_velocity", "stiffness"],) * 2, (["initial_velocity"],) * 2
+    assert asked == [whole, whole, left_out, whole, left_out] * 2
 
 
 @pytest.mark.slow

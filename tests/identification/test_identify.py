@@ -14,7 +14,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 import vibrojax as vj
-from vibrojax.identification.coordinates import coordinate_of
+from vibrojax.identification.coordinates import coordinate_of, estimate_at
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.findings import modes_left_out
 from vibrojax.identification.least_squares import LevenbergMarquardt
@@ -440,6 +440,18 @@ def test_coordinates_hold_their_bounds():
     for c, u in ((stiffness, 8.0), (damping, 0.7)):
         slope = (c.number(u + 1e-6) - c.number(u - 1e-6)) / 2e-6
         assert float(c.slope(u)) == pytest.approx(float(slope), rel=1e-8)
+
+
+def test_an_estimate_at_its_bound_is_within_it():
+    """So that it may be the guess of a further fit, whatever round-off does."""
+    assert np.exp(np.log(220.0)) > 220.0
+    kinds = {"asinh": -220.0, "linear": -220.0, "log": 1e-3}
+    coordinates = [coordinate_of(k, 3.0, vj.Range(low, 220.0), k) for k, low in kinds.items()]
+    for end in (0, 1):
+        found = estimate_at(coordinates, np.array([c.limits[end] for c in coordinates]))
+        for c in coordinates:
+            assert found[c.name] == pytest.approx((c.low, c.high)[end], rel=1e-14)
+            assert c.low <= found[c.name] <= c.high
 
 
 def test_least_squares_stays_within_bounds():

@@ -67,11 +67,7 @@ def area_of(
         for a, b in pairwise(edges)
         if b.value > a.value
     ]
-    total = still(0.0, known)
-    for part in parts:
-        own = _along(part, variable)
-        total = Dual(total.value + own.value, total.slopes + own.slopes)
-    return total
+    return sum((_along(part, variable) for part in parts), still(0.0, known))
 
 
 def _chosen(pieces: Sequence[Piece], variable: Variable, value: float, upper: bool) -> Piece:
@@ -98,13 +94,6 @@ class _Cell(NamedTuple):
     """Places of the motions."""
     high: float
     ends: tuple[OnCurve, OnCurve]
-
-
-class _Sum(NamedTuple):
-    """What is integrated at a motion, or over a cell: the area, and its derivatives."""
-
-    value: float
-    slopes: Float[np.ndarray, " numbers"]
 
 
 def _along(part: _Part, variable: Variable) -> Dual:
@@ -136,15 +125,14 @@ def _along(part: _Part, variable: Variable) -> Dual:
         if any(motion is None for motion in motions):
             raise NoSuchPlace("Not all motions under the curve were found.")
         cells.append(_Cell(between, places[0], places[1], (motions[0], motions[1])))
-    total, slopes = _integrated(known, cells, variable)
     rises = piece.frequency[0] <= piece.frequency[-1]
-    sign = 1.0 if rises else -1.0
+    area, *slopes = _integrated(known, cells, variable) * (1.0 if rises else -1.0)
     own_ends = [knots[0].motion, knots[-1].motion][:: 1 if rises else -1]
     ends = [cuts.get(w, own) for w, own in zip((low, high), own_ends, strict=True)]
     rows = known.around(ends, means=variable.source in MEANS)
     below, above = (float(variable.rule(row.value[variable.column])) for row in rows)
     moved = above * part.high.slopes - below * part.low.slopes
-    return Dual(sign * total, np.append(sign * slopes, 0.0) + moved)
+    return Dual(float(area), np.append(slopes, 0.0) + moved)
 
 
 class _Looked(NamedTuple):
@@ -160,13 +148,15 @@ class _Looked(NamedTuple):
     """Of what is integrated, over the place."""
 
 
-def _integrated(known: KnownBranch, cells: list[_Cell], variable: Variable) -> _Sum:
-    """Integrate over cells, those in pieces that are not known well enough.
+def _integrated(
+    known: KnownBranch, cells: list[_Cell], variable: Variable
+) -> Float[np.ndarray, " sums"]:
+    """Integrate the area and its derivatives over cells, in pieces where they are not known well.
 
     Derivatives are NaN where a cell is not smooth: they are not known.
     """
     done, left = np.zeros(1 + known.numbers), cells
-    size, unknown = np.zeros_like(done), False
+    size = np.zeros_like(done)
     for count in range(CUTS + 1):
         if not left:
             break
@@ -174,12 +164,12 @@ def _integrated(known: KnownBranch, cells: list[_Cell], variable: Variable) -> _
         better, coarse = (np.array([own[k] for own in looked]) for k in (0, 1))
         size = np.maximum(size, np.abs(done) + np.sum(np.abs(better), axis=0))
         firm = np.all(np.abs(better - coarse) <= FIRM * size, axis=1)
-        if count == CUTS:
+        if count == CUTS and not firm.all():
             # The branch has left something out there: it is not smooth, however near one looks.
-            unknown, firm = not firm.all(), np.ones_like(firm)
+            firm, better[:, 1:] = np.ones_like(firm), np.nan
         done = done + np.sum(better[firm], axis=0)
         left = [c for k in np.flatnonzero(~firm) for c in _pieces(known, left[k], looked[k])]
-    return _Sum(float(done[0]), np.full_like(done[1:], np.nan) if unknown else done[1:])
+    return done
 
 
 def _pieces(known: KnownBranch, cell: _Cell, looked: _Looked) -> list[_Cell]:

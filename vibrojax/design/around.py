@@ -74,19 +74,12 @@ class Around(NamedTuple):
     """Derivatives in the numbers, at a place that stays across the tangent."""
 
 
-class Bends(NamedTuple):
-    """How the derivative along the curve changes."""
+class Rates(NamedTuple):
+    """How something changes: the derivative along the curve of what is measured, or one number."""
 
-    along: Float[AnyArray, "*points measured"]
+    along: Float[AnyArray, "*points_and_measured"]
     """Along the curve."""
-    by_number: Float[AnyArray, "*points numbers measured"]
-
-
-class MultiplierSlopes(NamedTuple):
-    """How the logarithm of a multiplier's modulus changes."""
-
-    along: Float[AnyArray, "*points"]
-    by_number: Float[AnyArray, "*points numbers"]
+    by_number: Float[AnyArray, "*points_and_numbers_and_measured"]
 
 
 @compiled
@@ -187,7 +180,7 @@ class _Curve:
         found["impulse"] = mean_force(tables, motion, self.period, count) * turn
         if means:
             square, harmonic = mean_square_and_harmonic(tables, motion, self.period, count)
-            fraction = contact_fraction(tables, motion, self.period)
+            fraction = contact_fraction(motion, self.period)
         else:
             read = read_motion(tables, self.motion.events, motion, self.period)
             square, harmonic = read.mean_square, read.first_harmonic
@@ -250,15 +243,17 @@ class _There(NamedTuple):
     motion: Any
 
 
-def _each(function: Any, paths: Any, slopes: Any, motions: KnownMotion, period: int) -> Any:
-    """Call a function of each curve, its matrix and the number of numbers."""
+def _each(
+    function: Any, paths: Any, slopes: Any, motions: KnownMotion, period: int, *arrays: Array
+) -> Any:
+    """Call a function of each curve, its matrix, the number of numbers and arrays by motion."""
 
-    def one(path: FrequencyPath, slope: Any, motion: KnownMotion) -> Any:
+    def one(path: FrequencyPath, slope: Any, motion: KnownMotion, *own: Array) -> Any:
         curve = _Curve(path, slope, motion, period)
         count = next(len(leaf) for leaf in jax.tree.leaves(slope))
-        return function(curve, lax.stop_gradient(curve.held_matrix()), count)
+        return function(curve, lax.stop_gradient(curve.held_matrix()), count, *own)
 
-    return jax.vmap(one)(paths, slopes, motions)
+    return jax.vmap(one)(paths, slopes, motions, *arrays)
 
 
 def _with_slopes(function: Callable[[Array, Array], Array], count: int) -> tuple[Array, Array]:
@@ -294,13 +289,13 @@ def look_around(paths: Any, slopes: Any, motions: KnownMotion, period: int, mean
 @compiled
 def bends_around(
     paths: Any, slopes: Any, motions: KnownMotion, period: int, measured: bool
-) -> Bends:
+) -> Rates:
     """How the derivative along the curve changes; as `look_around`.
 
     Of the parameter only unless all that is `measured` is asked for, which takes longer to compile.
     """
 
-    def one(curve: _Curve, matrix: Array, count: int) -> Bends:
+    def one(curve: _Curve, matrix: Array, count: int) -> Rates:
         def value(place: Array, numbers: Array) -> Array:
             if measured:
                 return curve.measured(place, numbers, matrix, 2, False)
@@ -310,7 +305,7 @@ def bends_around(
             return jax.jvp(lambda place: value(place, numbers), (place,), (jnp.ones(()),))[1]
 
         _, bends = _with_slopes(along, count)
-        return Bends(bends[0], bends[1:])
+        return Rates(bends[0], bends[1:])
 
     return _each(one, paths, slopes, motions, period)
 
@@ -323,7 +318,7 @@ def multipliers_around(
     left: Complex[Array, "points states"],
     right: Complex[Array, "points states"],
     period: int,
-) -> MultiplierSlopes:
+) -> Rates:
     """Derivatives of the logarithm of a multiplier's modulus; as `look_around`.
 
     `left` and `right` are its vectors, of the Jacobian of the period map in units of energy.
@@ -339,11 +334,6 @@ def multipliers_around(
             return jnp.log(jnp.sum(jnp.conj(left) * turned)).real
 
         _, slopes = _with_slopes(logarithm, count)
-        return MultiplierSlopes(slopes[0], slopes[1:])
+        return Rates(slopes[0], slopes[1:])
 
-    def each(path: Any, slope: Any, motion: KnownMotion, left: Array, right: Array) -> Any:
-        curve = _Curve(path, slope, motion, period)
-        count = next(len(leaf) for leaf in jax.tree.leaves(slope))
-        return one(curve, lax.stop_gradient(curve.held_matrix()), count, left, right)
-
-    return jax.vmap(each)(paths, slopes, motions, left, right)
+    return _each(one, paths, slopes, motions, period, left, right)

@@ -14,8 +14,7 @@ from vibrojax.branches.points import BranchPoints
 from vibrojax.design.around import (
     MEASURED,
     Around,
-    Bends,
-    MultiplierSlopes,
+    Rates,
     bends_around,
     look_around,
     multipliers_around,
@@ -69,21 +68,14 @@ class KnownBranch:
                 return self._seen[id(motion), kind][1]
         return None
 
-    def column(self, motions: Sequence[OnCurve], name: str) -> Float[np.ndarray, " motions"]:
-        """Return one measured number of some motions."""
-        return np.array([a.value[MEASURED.index(name)] for a in self.around(motions)])
-
-    def bends(self, motion: OnCurve, measured: bool) -> Bends:
+    def bends(self, motion: OnCurve, measured: bool) -> Rates:
         """Return how the derivatives along the curve change, of the parameter or all measured."""
         return self._one(bends_around, motion, options=(measured,))
 
-    def at(self, motion: OnCurve, value: float, moves: Any = 0.0) -> Node:
-        """Return what is measured at a value of the parameter, of the motion next to it.
-
-        `moves` are derivatives of the value in the numbers.
-        """
+    def at(self, motion: OnCurve, value: float) -> Node:
+        """Return what is measured at a value of the parameter, of the motion next to it."""
         (here,) = self.around([motion])
-        missing, by_number = here.value[PARAMETER] - value, here.by_number[:, PARAMETER] - moves
+        missing, by_number = here.value[PARAMETER] - value, here.by_number[:, PARAMETER]
         return _placed(here, missing, here.along[PARAMETER], by_number)
 
     def at_fold(self, motion: OnCurve) -> Node:
@@ -105,7 +97,7 @@ class KnownBranch:
         k = int(np.argmin(np.abs(np.abs(values) - 1)))
         left = np.linalg.inv(right)[k].conj()
         both = left[None].astype(complex), right[None, :, k].astype(complex)
-        slopes: MultiplierSlopes = self._one(multipliers_around, motion, arrays=both)
+        slopes: Rates = self._one(multipliers_around, motion, arrays=both)
         missing = float(np.log(np.abs(values[k])))
         return _placed(here, missing, slopes.along, slopes.by_number)
 

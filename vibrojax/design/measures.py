@@ -40,6 +40,9 @@ class Dual(NamedTuple):
     value: float
     slopes: Float[np.ndarray, " numbers_and_argument"]
 
+    def __add__(self, other: "Dual") -> "Dual":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return Dual(self.value + other.value, self.slopes + other.slopes)
+
     def __sub__(self, other: "Dual") -> "Dual":  # pyright: ignore[reportIncompatibleMethodOverride]
         return Dual(self.value - other.value, self.slopes - other.slopes)
 
@@ -62,11 +65,11 @@ class Variable(NamedTuple):
         """Column of the source."""
         return MEASURED.index(self.source)
 
-    def of(self, node: Node) -> Dual:
-        """Return it at a place."""
+    def of(self, node: Node, steep: float = 0.0) -> Dual:
+        """Return it at a place, where its source changes by `steep` per unit of an argument."""
         value, push = jax.linearize(self.rule, node.value[self.column])
-        slopes = np.asarray(push(1.0)) * node.slopes[:, self.column]
-        return Dual(float(value), np.append(slopes, 0.0))
+        slopes = np.append(node.slopes[:, self.column], steep)
+        return Dual(float(value), np.asarray(push(1.0)) * slopes)
 
     def at_knots(self, piece: Piece) -> Float[np.ndarray, " knots"]:
         """Return it at all knots of a part."""
@@ -86,7 +89,7 @@ class Variable(NamedTuple):
         others = [k for k, is_point in enumerate(own) if not is_point]
         if others:
             motions = [piece.knots[k].motion for k in others]
-            found[others] = known.column(motions, self.source)
+            found[others] = [here.value[self.column] for here in known.around(motions)]
         return np.asarray(self.rule(found))
 
 
@@ -184,41 +187,24 @@ def frequency_of(node: Node) -> Dual:
 # ------------------------------------------------------------------------------------ one place
 
 
-def values_at(
-    known: KnownBranch, places: Sequence[tuple[Piece, Dual]], variable: Variable
-) -> list[Dual]:
-    """Return a variable at frequencies that may move, each on a part of the branch.
-
-    Raises `NoSuchPlace` where no motion is found.
-    """
-    motions = known.run([piece.motion_at(at.value) for piece, at in places])
-    for motion, (_, at) in zip(motions, places, strict=True):
-        if motion is None:
-            raise NoSuchPlace(f"No motion was found at {known.branch.axis} = {at.value:g}.")
-    known.around(motions)
-    found = []
-    for motion, (_, at) in zip(motions, places, strict=True):
-        node = known.at(motion, at.value, at.slopes[:-1])
-        own = variable.of(node)
-        (here,) = known.around([motion])
-        steep = here.along[variable.column] / here.along[PARAMETER] * at.slopes[-1]
-        _, push = jax.linearize(variable.rule, node.value[variable.column])
-        own.slopes[-1] = float(push(1.0)) * steep
-        found.append(own)
-    return found
-
-
 def at_frequency(
     pieces: Sequence[Piece], variable: Variable, frequency: float, upper: bool
 ) -> Dual:
-    """Return a variable at a frequency, on the upper or lower part where there are several."""
+    """Return a variable at a frequency, on the upper or lower part where there are several.
+
+    Its last derivative is by the frequency. Raises `NoSuchPlace` where no motion is found.
+    """
     over = [piece for piece in pieces if piece.interval(frequency) is not None]
     if not over:
         raise NoSuchPlace(f"The branch has no stable motion at {frequency:g}.")
     known = over[0].known
-    at = still(frequency, known)
-    at.slopes[-1] = 1.0
-    found = values_at(known, [(piece, at) for piece in over], variable)
+    motions = known.run([piece.motion_at(frequency) for piece in over])
+    if any(motion is None for motion in motions):
+        raise NoSuchPlace(f"No motion was found at {known.branch.axis} = {frequency:g}.")
+    found = []
+    for motion, here in zip(motions, known.around(motions), strict=True):
+        steep = here.along[variable.column] / here.along[PARAMETER]
+        found.append(variable.of(known.at(motion, frequency), float(steep)))
     return (max if upper else min)(found, key=lambda each: each.value)
 
 
@@ -305,8 +291,4 @@ def covered(spans: Sequence[Span], least: int = 1) -> list[Span]:
 
 def length(spans: Sequence[Span], known: KnownBranch) -> Dual:
     """Return the total length of spans that do not overlap."""
-    total = still(0.0, known)
-    for span in spans:
-        part = span.high - span.low
-        total = Dual(total.value + part.value, total.slopes + part.slopes)
-    return total
+    return sum((span.high - span.low for span in spans), still(0.0, known))

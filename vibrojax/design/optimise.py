@@ -32,8 +32,6 @@ STEP = 0.02
 """How far neighbours of the best design are, over the range of a variable."""
 POLISHED = 2
 """How often a search goes on from a neighbour that is better."""
-NEAR = 1e-4
-"""How near to a bound the best design is at it; over the range, or the spread of a function."""
 SAME = 1e-4
 """By how many spreads ends of searches may differ and count as the same."""
 
@@ -134,7 +132,7 @@ def search_design(
     stopped = len(trials.all) < settings.screened
     if not stopped:
         starts = starts_for(trials, goal, settings.starts)
-        ends = _search(trials, goal, starts, ends, settings)
+        ends = search_side_by_side(trials, [goal] * len(starts), list(starts), settings, first=1)
         for k in range(1 + POLISHED):
             best, end = min(
                 ((e.trial, e) for e in ends if e.trial is not None),
@@ -156,7 +154,8 @@ def search_design(
             except KeyboardInterrupt:
                 stopped = True
                 break
-            ends, near = _search(trials, goal, [better.place], ends, settings), []
+            near, first = [], len(ends) + 1
+            ends += search_side_by_side(trials, [goal], [better.place], settings, first=first)
     last = trials.best(goal)
     if goal.rank(last.values) < goal.rank(best.values):
         best, near = last, []  # none that was tried is lost
@@ -222,31 +221,18 @@ def try_neighbours(trials: Trials, best: Trial) -> list[Trial]:
 
 
 def curvature_of(
-    variables: Variables, best: Trial, near: Sequence[Trial], objective: int
+    variables: Variables, best: Trial, near: Sequence[Trial]
 ) -> Float[np.ndarray, "numbers numbers"]:
-    """Return second derivatives in the numbers, by differences of the gradients of neighbours."""
+    """Return second derivatives of the objective, by differences of the gradients of neighbours."""
     size = len(best.place)
     found = np.full((size, size), np.nan)
     for k in range(size if near else 0):
         three = sorted([best, *near[2 * k : 2 * k + 2]], key=lambda t: t.place[k])
         numbers = variables.numbers(np.array([t.place for t in three]))
-        slopes = np.array([t.slopes[objective] for t in three]) / variables.stretch(numbers)
+        slopes = np.array([t.slopes[0] for t in three]) / variables.stretch(numbers)
         middle = next(i for i, t in enumerate(three) if t is best)
         found[k] = np.gradient(slopes, numbers[:, k], axis=0, edge_order=2)[middle]
     return (found + found.T) / 2
-
-
-def _search(
-    trials: Trials, goal: Goal, starts: Any, ends: list[End], settings: OptimiseSettings
-) -> list[End]:
-    return ends + search_side_by_side(
-        trials,
-        [goal] * len(starts),
-        list(starts),
-        first=len(ends) + 1,
-        method=settings.method,
-        most=settings.max_rounds,
-    )
 
 
 def _is_better(goal: Goal, one: Trial, other: Trial) -> bool:
@@ -306,14 +292,14 @@ def _optimum(
         logarithmic=tuple(
             name for name, log in zip(variables.names, variables.logarithmic, strict=True) if log
         ),
-        active=held_by(trials, best, goal, names, NEAR),
+        active=held_by(trials, best, goal),
         gradient=variables.by_name(best.slopes[0] / variables.stretch(numbers)),
-        curvature=curvature_of(variables, best, near, 0),
+        curvature=curvature_of(variables, best, near),
         neighbours=tuple(neighbours),
         first=variables.by_name(variables.numbers(first.place)),
         first_value=float(first.values[0]),
         history=history_of(trials, goal),
-        ends=ends_of(trials, goal, ends, others),
+        ends=ends_of(trials, ends),
         status=status,
         sentence=sentence,
         response=responses[1],

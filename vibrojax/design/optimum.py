@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
+NEAR = 1e-4
+"""How near to a bound the best design is at it; over the range, or the spread of a function."""
+
 
 class Neighbour(NamedTuple):
     """A design next to the best one: one number is another."""
@@ -200,19 +203,14 @@ def allowed(least: float, most: float) -> str:
     return f"at least {least:g}" if np.isinf(most) else f"from {least:g} to {most:g}"
 
 
-def held_by(
-    trials: Trials, best: Trial, goal: Goal, names: tuple[str, ...], near: float
-) -> tuple[str, ...]:
-    """Return the bounds and constraints that a design is at, in words.
-
-    `near` is how near that is, over the range of a variable or the spread of a function.
-    """
-    found = []
+def held_by(trials: Trials, best: Trial, goal: Goal) -> tuple[str, ...]:
+    """Return the bounds and constraints that a design is at, in words."""
+    found, names = [], trials.evaluator.functions
     for name, place in zip(trials.variables.names, best.place, strict=True):
-        if place <= near or place >= 1 - near:
-            found.append(f"{words_for(name)} at its {'lower' if place <= near else 'upper'} bound")
+        if place <= NEAR or place >= 1 - NEAR:
+            found.append(f"{words_for(name)} at its {'lower' if place <= NEAR else 'upper'} bound")
     for k in goal.bounded:
-        value, reach = best.values[k], near * goal.spread[k]
+        value, reach = best.values[k], NEAR * goal.spread[k]
         for bound, words in ((goal.least[k], "at least"), (goal.most[k], "at most")):
             if abs(value - bound) <= reach:
                 found.append(f"{words_for(names[k])} {words} {bound:g}")
@@ -222,34 +220,30 @@ def held_by(
 def history_of(trials: Trials, goal: Goal) -> History:
     """Return all trials, as arrays in the user's numbers."""
     values = np.array([trial.values for trial in trials.all])
-    others = [k for k in range(values.shape[1]) if k != goal.objective]
     return History(
         search=np.array([trial.search for trial in trials.all]),
         number=np.array([trial.number for trial in trials.all]),
         design=trials.variables.numbers(np.array([trial.place for trial in trials.all])),
-        value=values[:, goal.objective],
-        constraints=values[:, others],
+        value=values[:, 0],
+        constraints=values[:, 1:],
         feasible=np.array([goal.meets(own) for own in values]),
         note=tuple(trial.note for trial in trials.all),
     )
 
 
-def ends_of(
-    trials: Trials, goal: Goal, ends: list[End], constraints: tuple[str, ...]
-) -> tuple[SearchEnd, ...]:
+def ends_of(trials: Trials, ends: list[End]) -> tuple[SearchEnd, ...]:
     """Return where searches ended, in the user's numbers."""
     found = []
     for end in ends:
         if end.trial is None:
             continue
-        numbers = trials.variables.by_name(trials.variables.numbers(end.trial.place))
-        others = np.delete(end.trial.values, goal.objective)
+        value, *others = end.trial.values.tolist()
         found.append(
             SearchEnd(
                 search=end.search,
-                numbers=numbers,
-                value=float(end.trial.values[goal.objective]),
-                constraints=dict(zip(constraints, others.tolist(), strict=True)),
+                numbers=trials.variables.by_name(trials.variables.numbers(end.trial.place)),
+                value=value,
+                constraints=dict(zip(trials.evaluator.functions[1:], others, strict=True)),
                 status=end.status,
                 reason=end.reason,
             )

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-STARTS = 2
-"""Searches for each point between the ends."""
 SLACK = 1e-4
 """By which share of the front the best of one objective may be missed at its end."""
 ALIKE = 1e-3
@@ -205,15 +203,12 @@ def search_front(
     signs = [-1.0 if name in maximise else 1.0 for name in evaluator.functions[:2]]
     alone = [screened._replace(objective=k, sign=signs[k]) for k in range(2)]
     ends: list[End] = []
-    goals: list[Goal] = []
 
     def search(jobs: list[tuple[Goal, Any]]) -> None:
         if any(end.status == "interrupted" for end in ends):
             return
         own, places = [goal for goal, _ in jobs], [place for _, place in jobs]
-        how: dict[str, Any] = {"method": settings.method, "most": settings.max_rounds}
-        ends.extend(search_side_by_side(trials, own, places, first=len(ends) + 1, **how))
-        goals.extend(own)
+        ends.extend(search_side_by_side(trials, own, places, settings, first=len(ends) + 1))
 
     between: list[Goal] = []
     if len(trials.all) >= settings.screened:
@@ -222,7 +217,7 @@ def search_front(
             between = _between(trials, alone, points)
         search([(g, s) for g in between for s in _starts(trials, g, alone)])
     found = [trials.best(goal) for goal in between or alone]
-    return _front(trials, alone, found, ends, constraints, maximise, settings)
+    return _front(trials, alone, found, ends, maximise)
 
 
 def _between(trials: Trials, alone: list[Goal], points: int) -> list[Goal]:
@@ -253,7 +248,7 @@ def _starts(trials: Trials, goal: Goal, alone: list[Goal]) -> list[np.ndarray]:
     bound = goal.most[k] if np.isfinite(goal.most[k]) else goal.least[k]
     width = other.values[k] - one.values[k]
     share = np.clip((bound - one.values[k]) / width if width else 0.5, 0.0, 1.0)
-    return [known.place, one.place + share * (other.place - one.place)][:STARTS]
+    return [known.place, one.place + share * (other.place - one.place)]
 
 
 def _front(
@@ -261,9 +256,7 @@ def _front(
     alone: list[Goal],
     found: list[Trial],
     ends: list[End],
-    constraints: Sequence[Constraint],
     maximise: Sequence[str],
-    settings: OptimiseSettings,
 ) -> ParetoFront:
     goal, names = alone[0], trials.evaluator.functions
     every = np.array([trial.values for trial in trials.all])

@@ -73,11 +73,6 @@ class Piece:
         first, last = node_of(self.known, self.knots[0]), node_of(self.known, self.knots[-1])
         return (first, last) if self.frequency[0] <= self.frequency[-1] else (last, first)
 
-    @property
-    def touches(self) -> list[float]:
-        """Frequencies inside at which a contact begins or ends."""
-        return [k.motion.parameter for k in self.knots[1:-1] if k.kind == "touch"]
-
     def interval(self, value: float) -> int | None:
         """Index of the knot before a frequency; None where the part does not pass it."""
         x = self.frequency if self.frequency[0] <= self.frequency[-1] else -self.frequency
@@ -113,11 +108,10 @@ class Between:
     def __init__(self, known: KnownBranch, a: Knot, b: Knot):
         self.a, self.b = a.motion, b.motion
         self.stretch = known.walk.stretch(a.cell)
-        self.places = self._place(known, a, 0), self._place(known, b, 1)
+        self.places = self._place(self.a, 0), self._place(self.b, 1)
 
-    def _place(self, known: KnownBranch, knot: Knot, side: int) -> float:
-        """Where a knot lies on the stretch."""
-        motion = knot.motion
+    def _place(self, motion: OnCurve, side: int) -> float:
+        """Where the motion of a knot lies on the stretch."""
         is_end = motion is (self.stretch.first, self.stretch.last)[side]
         return self.stretch.ends[side] if is_end else self.place_of(motion)
 
@@ -125,9 +119,7 @@ class Between:
         """Where a motion in between lies on the stretch."""
         if self.stretch.by_times is not None:
             return float(self.stretch.by_times @ motion.times)
-        first = self.stretch.first
-        change = motion.state - first.state, motion.parameter - first.parameter
-        return self.stretch.search.along(first, *change)
+        return self.stretch.search.way(self.stretch.first, motion)
 
     def compares(self, motion: OnCurve) -> bool:
         """Whether the state of a motion is at the drive phase of those of the stretch."""
@@ -240,16 +232,10 @@ def knots_of(known: KnownBranch) -> list[Knot]:
         found.append(Knot(point, k, kind, touch))
         inside = between.get(k, [])
         if len(inside) > 1:
-            order = [_way(known, k, knot.motion) for knot in inside]
+            order = [known.walk.search.way(point, knot.motion) for knot in inside]
             inside = [inside[i] for i in np.argsort(order)]
         found += inside
     return found
-
-
-def _way(known: KnownBranch, k: int, motion: OnCurve) -> float:
-    first = known.walk.points[k]
-    change = motion.state - first.state, motion.parameter - first.parameter
-    return known.walk.search.along(first, *change)
 
 
 def _is_stable(known: KnownBranch, a: Knot, b: Knot) -> bool:

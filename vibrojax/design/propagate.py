@@ -22,13 +22,15 @@ from vibrojax.design.propagation import Propagation
 from vibrojax.design.quasi_random import sobol_sequence
 from vibrojax.design.rig_evaluator import RigEvaluator
 from vibrojax.design.rig_functions import range_of
-from vibrojax.design.sobol_indices import salib, sobol_indices, sobol_probabilities
+from vibrojax.design.sobol_indices import sobol_indices, sobol_probabilities
 from vibrojax.ensemble.arguments import arguments_of
 from vibrojax.ensemble.progress import progress_bar
 from vibrojax.ensemble.ranges import Range
 from vibrojax.model.systems import AbstractSystem
 
 MOST_SAMPLES = 2**20
+Places = tuple[Float[np.ndarray, "samples numbers"], Float[np.ndarray, "rigs numbers"]]
+"""Places of the quasi-Monte Carlo sample, and those of Sobol indices."""
 
 
 @validated
@@ -135,7 +137,8 @@ def propagate(
         numbers=fixed,
     )
     evaluator.check(uncertain.means.tolist())
-    return propagated(evaluator, uncertain, how, ratio_units=sample.drive.reference[1])
+    units = sample.drive.reference[1]
+    return propagated(evaluator, uncertain, how, places=(samples, design), ratio_units=units)
 
 
 def _fixed(
@@ -152,10 +155,8 @@ def _fixed(
     return {name: value for name, value in named.fixed.items() if name in numbers}
 
 
-def _places(
-    uncertain: Distributions, how: PropagationSettings
-) -> tuple[Float[np.ndarray, "samples numbers"], Float[np.ndarray, "rigs numbers"]]:
-    """Return the places of the quasi-Monte Carlo sample, and those of Sobol indices."""
+def _places(uncertain: Distributions, how: PropagationSettings) -> Places:
+    """Draw the places of the settings. Raises `ImportError` as `propagated` does."""
     count = len(uncertain.names)
     unit = sobol_sequence(how.samples, count, how.seed)
     design = sobol_probabilities(count, how.sobol, how.seed) if how.sobol else np.empty((0, count))
@@ -167,16 +168,15 @@ def propagated(
     uncertain: Distributions,
     how: PropagationSettings,
     *,
+    places: Places | None = None,
     ratio_units: str = "1",
 ) -> Propagation:
     """Propagate distributions of the evaluator's numbers, which are in its order.
 
-    `ratio_units` is the unit of displacements per drive. Raises `ImportError` where Sobol indices
-    are asked for without SALib.
+    `places` are of the settings; None: they are drawn here. `ratio_units` is the unit of
+    displacements per drive. Raises `ImportError` where Sobol indices are asked for without SALib.
     """
-    if how.sobol:
-        salib()  # before anything is computed
-    samples, design = _places(uncertain, how)
+    samples, design = places or _places(uncertain, how)
     everywhere = np.concatenate([samples, design])
     found: list[Evaluation] = []
     with progress_bar("propagate", 1 + len(everywhere), None, unit="rig") as bar:

@@ -69,16 +69,11 @@ class Response:
         natural: tuple[float, np.ndarray],
         moved: Any = None,
     ):
-        self.branch, self.known, self._values, self._natural = (
-            branch,
-            known,
-            dict(numbers),
-            natural,
-        )
+        self.branch, self.known = branch, known
+        self._values, self._natural = dict(numbers), natural
         self._moved = np.zeros(len(numbers)) if moved is None else moved
         self._plain = moved is None
-        self._done: dict[Any, Dual] = {}
-        self._pieces: dict[bool, list[Piece]] = {}
+        self._done: dict[Any, Any] = {}
 
     def ask_of(self, ask: Ask) -> None:
         """Let `ask` compute what is asked from now on, together with what others ask for."""
@@ -87,7 +82,7 @@ class Response:
     def _with(self, moved: Any) -> "Response":
         """The same response, its numbers moved by what JAX is tracing."""
         other = Response(self.branch, self.known, self._values, self._natural, moved)
-        other._done, other._pieces = self._done, self._pieces
+        other._done = self._done
         return other
 
     @validated
@@ -172,11 +167,9 @@ class Response:
 
         Raises `ValueError` for an unknown variable.
         """
+        peak, own = self._peak(variable, True), self._variable(variable)
         key = "peak frequency", variable
-        if key not in self._done:
-            peak = self._peak(variable, True)
-            self._done[key] = measures.peak_frequency_of(peak, self._variable(variable))
-        return self._give(self._done[key])
+        return self._give(self._once(key, lambda: measures.peak_frequency_of(peak, own)))
 
     @validated(traceable=True)
     def resonance_shift(self, variable: str = "amplitude_ratio") -> Number:
@@ -196,9 +189,8 @@ class Response:
         """
         own, at, upper = self._variable(variable), _plain("frequency", frequency), _is_upper(of)
         key = "at", variable, at, upper
-        if key not in self._done:
-            self._done[key] = measures.at_frequency(self._stable, own, at, upper)
-        return self._give(self._done[key], frequency)
+        find = lambda: measures.at_frequency(self._stable, own, at, upper)  # noqa: E731
+        return self._give(self._once(key, find), frequency)
 
     @validated(traceable=True)
     def fold_frequency(self, number: int = -1) -> Number:
@@ -224,10 +216,8 @@ class Response:
 
         0 where there is none; it grows from there without a jump.
         """
-        if "hysteresis" not in self._done:
-            spans = measures.covered(list(map(measures.span_of, self._stable)), least=2)
-            self._done["hysteresis"] = measures.length(spans, self.known)
-        return self._give(self._done["hysteresis"])
+        spans = measures.covered(list(map(measures.span_of, self._stable)), least=2)
+        return self._give(measures.length(spans, self.known))
 
     @validated(traceable=True)
     def bandwidth(
@@ -240,25 +230,21 @@ class Response:
         """
         own, at, upper = self._variable(variable), _plain("level", level), _is_upper(of)
         key = "bandwidth", variable, at, upper
-        if key not in self._done:
-            over = [span for p in self._stable for span in measures.above(p, own, at)]
-            total = measures.length(measures.covered(over), self.known)
-            if not upper:
-                # Where a stable motion exists that is not above does not count.
-                every = list(map(measures.span_of, self._stable))
-                depth = max(len(every), 1)
-                total = measures.still(0.0, self.known)
-                for least in range(1, depth + 1):
-                    both = _both(measures.covered(every, least), measures.covered(over, least))
-                    higher = measures.covered(every, least + 1)
-                    alone = measures.length(both, self.known)
-                    twice = measures.length(_both(both, higher), self.known)
-                    total = Dual(
-                        total.value + alone.value - twice.value,
-                        total.slopes + alone.slopes - twice.slopes,
-                    )
-            self._done[key] = total
-        return self._give(self._done[key], level)
+        return self._give(self._once(key, lambda: self._width(own, at, upper)), level)
+
+    def _width(self, variable: Variable, level: float, upper: bool) -> Dual:
+        over = [span for p in self._stable for span in measures.above(p, variable, level)]
+        if upper:
+            return measures.length(measures.covered(over), self.known)
+        # Where a stable motion exists that is not above does not count.
+        every = list(map(measures.span_of, self._stable))
+        total = measures.still(0.0, self.known)
+        for least in range(1, len(every) + 1):
+            both = _both(measures.covered(every, least), measures.covered(over, least))
+            higher = measures.covered(every, least + 1)
+            total += measures.length(both, self.known)
+            total -= measures.length(_both(both, higher), self.known)
+        return total
 
     @validated(traceable=True)
     def half_power_bandwidth(
@@ -288,9 +274,7 @@ class Response:
         a, b = self._band(low, high)
         own, upper = self._variable(variable), _is_upper(of)
         key = "area", variable, a, b, upper
-        if key not in self._done:
-            self._done[key] = area_of(self._stable, own, a, b, upper)
-        return self._give(self._done[key])
+        return self._give(self._once(key, lambda: area_of(self._stable, own, a, b, upper)))
 
     @validated(traceable=True)
     def mean(
@@ -314,24 +298,22 @@ class Response:
     def _stable(self) -> list[Piece]:
         return self._parts(stable=True)
 
-    @property
-    def _every(self) -> list[Piece]:
-        return self._parts(stable=False)
-
     def _parts(self, *, stable: bool) -> list[Piece]:
+        return self._once(("parts", stable), lambda: pieces_of(self.known, stable=stable))
+
+    def _once(self, key: Any, find: Callable[[], Any]) -> Any:
+        """Return what was found under a key, or find it."""
         # No cached_property: before Python 3.12 it holds a lock, while others are asked.
-        if stable not in self._pieces:
-            self._pieces[stable] = pieces_of(self.known, stable=stable)
-        return self._pieces[stable]
+        if key not in self._done:
+            self._done[key] = find()
+        return self._done[key]
 
     def _variable(self, name: str) -> Variable:
         return variable_of(name, self.branch.ratio_units)
 
     def _peak(self, variable: str, stable: bool) -> measures.Peak:
-        own, key = self._variable(variable), ("peak", variable, stable)
-        if key not in self._done:
-            self._done[key] = measures.peak_of(self._stable if stable else self._every, own)  # pyright: ignore
-        return self._done[key]  # pyright: ignore
+        own, parts = self._variable(variable), self._parts(stable=stable)
+        return self._once(("peak", variable, stable), lambda: measures.peak_of(parts, own))
 
     def _fold(self, number: int) -> Node:
         folds: list[Knot] = [k for k in knots_of(self.known) if k.kind in TURNS]
@@ -339,9 +321,7 @@ class Response:
         if not -len(folds) <= number < len(folds):
             raise NoSuchPlace(f"The branch has {len(folds)} folds: there is no number {number}.")
         key = "fold", number % len(folds)
-        if key not in self._done:
-            self._done[key] = node_of(self.known, folds[number])  # pyright: ignore
-        return self._done[key]  # pyright: ignore
+        return self._once(key, lambda: node_of(self.known, folds[number]))
 
     def _band(self, low: float | None, high: float | None) -> tuple[float, float]:
         start, end = self.branch.range

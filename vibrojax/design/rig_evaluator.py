@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax._tools.checks import check_names, check_needed_arguments
+from vibrojax._tools.described import recipe
 from vibrojax._tools.gathered import gathered
 from vibrojax.branches.along import check_continued
 from vibrojax.branches.branch import Branch
@@ -54,8 +55,6 @@ class RigEvaluator(AbstractEvaluator):
         self._functions = tuple(functions.values())
         self.axis, self.range, self.settings = axis, range, settings
         self.fixed, self.static = numbers_apart(numbers)
-        self.followed = 0
-        """Branches that were followed."""
 
     def check(self, place: Sequence[float] | Float[np.ndarray, " numbers"]) -> AbstractSystem:
         """Build the rig of a place from concrete numbers, and refuse one that cannot be answered.
@@ -98,6 +97,7 @@ class RigEvaluator(AbstractEvaluator):
         numbers = {n: np.full(width, v) for n, v in self.fixed.items()}
         numbers |= {name: rows[:, k] for k, name in enumerate(self.names)}
         made = systems_with_slopes(self.make, self.static, self.names, numbers)
+        values = [dict(zip(self.names, row, strict=True)) for row in rows[:count].tolist()]
         is_ratio = self.axis == "frequency_ratio"
         paths, slopes = jax.device_get(paths_with_slopes(*made, is_ratio))
         plan = self.settings.plan(
@@ -105,23 +105,21 @@ class RigEvaluator(AbstractEvaluator):
             axis=self.axis,
             low=self.range.low,
             high=self.range.high,
-            labels=[{}] * count,
-            description="",
+            labels=values if count > 1 else [{}],  # how others differ from the rig described
+            description=recipe(sample),
         )
         own, changes = (
             jax.tree.map(lambda a: np.asarray(a)[:count], tree) for tree in (paths, slopes)
         )
         branches = follow_branches(plan, own)
-        self.followed += count
         group = RigGroup(own, changes, plan.period)
         frequency = own.equations.angular_frequency[:, 0] / 2 / np.pi
         rates = changes.equations.angular_frequency[:, :, 0] / 2 / np.pi
         found = []
         for k, points in enumerate(branches):
             known = KnownBranch(points, group, k, len(self.names))
-            values = dict(zip(self.names, map(float, places[k]), strict=True))
             natural = float(frequency[k]), np.asarray(rates[k])
-            found.append(Response(Branch.of(points), known, values, natural))
+            found.append(Response(Branch.of(points), known, values[k], natural))
         return group, found
 
     def evaluate(

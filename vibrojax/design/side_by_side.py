@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from vibrojax._tools.gathered import Stopped, gathered
 from vibrojax.design.constraints import Goal
+from vibrojax.design.settings import OptimiseSettings
 from vibrojax.design.trials import Trial, Trials
 
 FAILED = 1e3
@@ -71,11 +72,10 @@ class _Search:
         goal: Goal,
         start: Float[np.ndarray, " numbers"],
         ask: Callable[[Float[np.ndarray, " numbers"]], Trial | None],
-        method: str,
-        most: int,
+        settings: OptimiseSettings,
     ) -> None:
         self.number, self.goal, self.start, self.ask = number, goal, start, ask
-        self.method, self.most = method, most
+        self.method, self.most = settings.method, settings.max_rounds
         self.tried: dict[bytes, Trial] = {}
         self.known: Trial | None = None
         """The best so far of which all that counts has a value."""
@@ -245,15 +245,14 @@ def search_side_by_side(
     trials: Trials,
     goals: Sequence[Goal],
     starts: Sequence[Float[np.ndarray, " numbers"]],
+    settings: OptimiseSettings,
     *,
     first: int,
-    method: str,
-    most: int,
 ) -> list[End]:
     """Minimise from every start, each with its goal; the searches are numbered from `first`.
 
-    `most` is the number of designs that each may try. After Ctrl-C, those that had not ended have
-    the status `interrupted`. What the evaluator raises is raised, when all searches have ended.
+    After Ctrl-C, those that had not ended have the status `interrupted`. What the evaluator raises
+    is raised, when all searches have ended.
     """
     ends: dict[int, End] = {}
 
@@ -264,7 +263,7 @@ def search_side_by_side(
             except Stopped:
                 return None
 
-        ends[k] = _Search(first + k, goals[k], starts[k], tried, method, most).run()
+        ends[k] = _Search(first + k, goals[k], starts[k], tried, settings).run()
 
     def answer(asked: dict[int, np.ndarray]) -> dict[int, Trial]:
         found = trials.evaluate(np.array(list(asked.values())), [first + k for k in asked])

@@ -2,15 +2,15 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 
 from vibrojax._tools.interrupts import stoppable
 from vibrojax.design.constraints import Goal
 from vibrojax.design.evaluation import AbstractEvaluator
+from vibrojax.design.quasi_random import sobol_sequence
 from vibrojax.design.variables import Variables
 
 SCREENED, NEIGHBOURS = 0, -1
@@ -71,12 +71,8 @@ class Trials:
 
 def screen(trials: Trials, count: int, seed: int) -> None:
     """Try the design to begin with, and others spread evenly between the bounds."""
-    size = len(trials.variables.names)
-    how: dict[str, Any] = {"seed": seed}  # which is called rng from scipy 1.15 on
-    sobol = scipy.stats.qmc.Sobol(size, **how)
-    # Of a power of two they are spread evenly.
-    drawn = sobol.random_base2(int(np.ceil(np.log2(count))))
     first = trials.variables.places(trials.variables.start)
+    drawn = sobol_sequence(count, len(trials.variables.names), seed)
     places = np.vstack([first, drawn])[:count]
     for k in range(0, count, TOGETHER):
         some = places[k : k + TOGETHER]

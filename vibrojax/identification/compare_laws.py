@@ -107,7 +107,7 @@ def compare_laws(
         for k, record in enumerate(histories if len(histories) > 1 else ()):
             others = [*histories[:k], *histories[k + 1 :]]
             part = identify(make, others, first, private=private, **settings, **numbers)
-            foretold.append(_foretold(make, part, record, first, private, settings, numbers))
+            foretold.append(_foretold(make, part, record, first, private, bounds, numbers))
         judged[name] = Judged(fit, tuple(foretold))
     return LawComparison(judged)
 
@@ -129,18 +129,19 @@ def _foretold(
     record: MeasuredHistory,
     guess: Mapping[str, float | None],
     private: Sequence[str],
-    settings: Mapping[str, Any],
+    bounds: Mapping[str, Any] | None,
     numbers: Mapping[str, Any],
 ) -> float:
     """Mean square of the residuals, in deviations, of a record that the fit has not seen."""
     known = inspect.signature(make).parameters
     shared: dict[str, Any] = {n: v for n, v in fit.estimate.items() if n in known}
-    own = record_numbers_in(make, fit.estimate)
-    record = with_numbers(record, {name: fit.estimate[name] for name in own})
+    of_record = record_numbers_in(make, fit.estimate)
+    record = with_numbers(record, {name: fit.estimate[name] for name in of_record})
     count = len(record.observations().value)
     if private:
         first = {name: guess[name] for name in private}
-        return identify(make, record, first, **settings, **numbers, **shared).chi_square / count
+        own_bounds = {name: one for name, one in (bounds or {}).items() if name in first}
+        return identify(make, record, first, own_bounds, **numbers, **shared).chi_square / count
     coordinates, held = fitted_and_held(make, (record,), shared, {}, (), {}, numbers)
     problem = Problem(make, [(record,)], coordinates, "distance", held)
     residual, _ = problem.evaluate(problem.guess[None], np.zeros(1, int), 1.0, precisely=True)

@@ -1,8 +1,10 @@
 """Coordinates in which the numbers sought move: of a size with each other, within their bounds."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from vibrojax._tools.checks import check_choice
 from vibrojax._tools.kinds import LARGEST
@@ -91,3 +93,11 @@ def coordinate_of(
             "guess inside, or wider bounds."
         )
     return Coordinate(name, kind, abs(guess) or 1.0, low, high, guess)
+
+
+def estimate_at(
+    coordinates: Sequence[Coordinate], point: Float[np.ndarray, " unknowns"]
+) -> dict[str, float]:
+    """Return the numbers at a point by name, none of them beyond its bounds by round-off."""
+    pairs = zip(coordinates, point, strict=True)
+    return {c.name: float(np.clip(c.number(float(u)), c.low, c.high)) for c, u in pairs}

@@ -10,6 +10,7 @@ from vibrojax._tools.checks import check_count, check_range
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.tracing import free_motion
 from vibrojax.ensemble.ranges import Range
+from vibrojax.identification.coordinates import estimate_at
 from vibrojax.identification.curve_misfit import CurveMisfit
 from vibrojax.identification.findings import early_jumps, misfit, modes_left_out, used
 from vibrojax.identification.fit import Alternative
@@ -235,17 +236,17 @@ class _Fits:
                 part = np.sign(part[:, 1]) * np.linalg.norm(part, axis=1)
             predictions.append(fitted_data(m, part, curve, moved, fitted))
             warnings += misfit(chi_square, freedom, part[_order(m)])
-        numbers = problem.numbers(point)
+        estimate = estimate_at(problem.coordinates, point)
         stiff = [i for i, c in enumerate(problem.coordinates) if "stiffness" in c.argument]
         if stiff:
-            rig = problem.system(numbers, 0, self.data[k][0])
+            rig = problem.system([*estimate.values()], 0, self.data[k][0])
             warnings += modes_left_out(rig, float(known.deviation[stiff[0]]))
 
         def named(values: Any) -> dict[str, Any]:
             return dict(zip(names, values, strict=True))
 
         return Identification(
-            estimate=named(map(float, numbers)),
+            estimate=estimate,
             interval=named((float(a), float(b)) for a, b in known.interval),
             identifiability=named(known.identifiability),
             identifiable=named(known.identifiable),
@@ -275,11 +276,9 @@ class _Fits:
         for end in sorted(self.searches.ended[k], key=lambda end: end.cost):
             if all(np.max(np.abs(end.point - other) / deviation) > APART for other, _ in kept):
                 kept.append((end.point, end.cost))
-        names = self.problem.names
         return tuple(
             Alternative(
-                dict(zip(names, map(float, self.problem.numbers(point)), strict=True)),
-                cost / self.degrees_of_freedom,
+                estimate_at(self.problem.coordinates, point), cost / self.degrees_of_freedom
             )
             for point, cost in kept[1:]
         )

@@ -49,10 +49,7 @@ class Data(NamedTuple):
             time, values, deviation = self.of_channel(lane, k)
             keep = slice(None, None, max(1, len(time) // 1000))
             at = (time[None, keep] - delays[k]) * grid + shifts[:, None]
-            at = np.mod(at, cells) if wraps else np.clip(at, 0, cells - 1)
-            low = np.minimum(np.floor(at).astype(int), cells - 1)
-            high = (low + 1) % cells if wraps else np.minimum(low + 1, cells - 1)
-            seen = signal[low] + (at - low) * (signal[high] - signal[low])
+            seen = np.interp(at, np.arange(cells), signal, period=cells if wraps else None)
             total += np.sum(((values[keep] - seen) / deviation[keep]) ** 2, axis=1)
         return np.where(np.isfinite(total), total, np.inf)
 

@@ -1,7 +1,7 @@
 """Columns of a table of measurements: which is what, in which unit, and the numbers in it."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -52,6 +52,13 @@ def find_column(table: Table, key: str, given: Any) -> str:
     )
 
 
+def check_keys(argument: str, given: Iterable[Any], known: Collection[str]) -> None:
+    """Raise `ValueError` for a key of an argument that is none of those known."""
+    for key in given:
+        if key not in known:
+            raise ValueError(f"{argument}: unknown key {key!r}. {nearest(str(key), known)}")
+
+
 def match_columns(
     table: Table,
     patterns: Mapping[str, str],
@@ -65,9 +72,7 @@ def match_columns(
     columns fit a key that is not optional, and for a force of which nothing says whose it is.
     """
     given = dict(given or {})
-    for key in given:
-        if key not in patterns:
-            raise ValueError(f"columns: unknown key {key!r}. {nearest(str(key), patterns)}")
+    check_keys("columns", given, patterns)
     found = {k: find_column(table, k, name) for k, name in given.items() if name is not None}
     used = {*found.values(), *taken}
     left = {name: split_header(name) for name in table.columns if name not in used}

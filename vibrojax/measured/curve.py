@@ -250,12 +250,6 @@ class MeasuredCurve:
         """Unit of the amplitude."""
         return "1" if self.is_ratio else SIGNALS[self.signal]
 
-    @property
-    def _drive_described(self) -> str:
-        """What the drive was measured as, and its unit."""
-        known = self.drive_signal
-        return f"{known}, {DRIVES[known]}" if known else "in the unit of the rig's, N or m"
-
     def _in_order(self, direction: int) -> Int[np.ndarray, " some"]:
         """Indices of the points of a direction, in the order of the sweep."""
         at = np.flatnonzero(self.direction == direction)
@@ -334,10 +328,11 @@ class MeasuredCurve:
                 f"  {self.signal}, {self.quantity} {QUANTITIES[self.quantity]}, {unit}"
                 f"{frame}: up to {np.max(self.amplitude):.5g}"
             )
-        for name in ("phase", "drive_amplitude"):
-            values = getattr(self, name)
+        known = self.drive_signal
+        drive = f"{known}, {DRIVES[known]}" if known else "in the unit of the rig's, N or m"
+        shown = {"phase, rad": self.phase, f"drive, {drive}": self.drive_amplitude}
+        for label, values in shown.items():
             if values is not None:
-                label = "phase, rad" if name == "phase" else f"drive, {self._drive_described}"
                 lines.append(f"  {label}: {np.nanmin(values):.4g} to {np.nanmax(values):.4g}")
         if self.contact_force is not None:
             lines.append(f"  contact force, N: up to {np.max(self.contact_force):.5g}")

@@ -4,10 +4,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from vibrojax._tools.checks import check_choice, nearest
+from vibrojax._tools.checks import check_choice
 from vibrojax.measured.columns import (
     ANY_FORCE,
     CONTACT_FORCE,
+    check_keys,
     column_unit,
     find_column,
     match_columns,
@@ -117,10 +118,7 @@ class CurveColumns:
             table, patterns, columns, self.split.values(), ("real", "imaginary", "phase")
         )
         self._find_response(columns)
-        allowed = (*PATTERNS, *split)
-        for name in units:
-            if name not in allowed:
-                raise ValueError(f"units: unknown key {name!r}. {nearest(str(name), allowed)}")
+        check_keys("units", units, (*PATTERNS, *split))
         self._check_found(columns)
         self._find_units(columns)
         self._find_quantity(quantity, signal, frame)

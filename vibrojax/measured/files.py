@@ -9,13 +9,11 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from vibrojax._tools.files import path_of, read_bytes
-from vibrojax.measured.cells import decimal_signs, joined
 from vibrojax.measured.datasets import of_dataset
 from vibrojax.measured.groups import table_in
-from vibrojax.measured.hdf_files import is_netcdf, read_hdf
 from vibrojax.measured.mat_files import read_mat
 from vibrojax.measured.sheet_files import read_sheet
-from vibrojax.measured.table import NoTable, Table, with_signs, with_units_row
+from vibrojax.measured.table import NoTable, Table, signs_in, with_signs, with_units_row
 from vibrojax.measured.tdms_files import read_tdms
 from vibrojax.measured.text_files import read_text
 from vibrojax.measured.uff_files import looks_universal, read_uff
@@ -109,12 +107,7 @@ def _library(name: str, package: str, path: Path) -> ModuleType:
 
 
 def _text(asked: Asked) -> Table:
-    try:
-        text = read_text(read_bytes("File", asked.path), asked.by_position, asked.decimal)
-    except ValueError as error:
-        raise NoTable(str(error)) from None
-    table = Table(text.columns, {}, text.lines, "line", "", {})
-    return with_signs(with_units_row(table), text.signs, asked.decimal)
+    return read_text(read_bytes("File", asked.path), asked.by_position, asked.decimal)
 
 
 def _compressed(asked: Asked) -> Table:
@@ -134,6 +127,8 @@ def _netcdf(asked: Asked) -> Table:
 
 def _hdf(asked: Asked) -> Table:
     import h5py
+
+    from vibrojax.measured.hdf_files import is_netcdf, read_hdf
 
     with h5py.File(asked.path, "r") as file:
         on_top = any(isinstance(item, h5py.Dataset) for item in file.values())
@@ -160,9 +155,7 @@ def _workbook(asked: Asked) -> Table:
     with asked.path.open("rb") as raw:
         workbook = calamine.CalamineWorkbook.from_filelike(raw)
         table = with_units_row(read_sheet(workbook, asked.at, asked.by_position))
-    texts = [joined(column) for column in table.columns.values() if column.dtype.kind in "OUT"]
-    signs = asked.decimal or decimal_signs("\n".join(texts))
-    return with_signs(table, signs, asked.decimal)
+    return with_signs(table, asked.decimal or signs_in(table), asked.decimal)
 
 
 def _universal(asked: Asked) -> Table:

@@ -53,7 +53,7 @@ def table_in(
                 f"holds no table at {path!r} but {_described(found)}: give the path of a group"
             )
     else:
-        tables = dict(_tables(found, path, separator))
+        tables = {p: own for p, own in _groups(found, path, separator) if _is_table(own)}
         if at is not None and path in tables:
             tables = {path: tables[path]}
         if len(tables) > 1:
@@ -173,24 +173,18 @@ def _own(group: Group) -> dict[str, Array]:
     return found
 
 
-def _tables(group: Group, path: str, separator: str) -> Iterator[tuple[str, dict[str, Array]]]:
-    """Yield path and columns of every group that has two columns of one length, or a clock."""
-    own = _own(group)
-    counts = Counter(column.shape[0] for column in own.values())
-    if max(counts.values(), default=0) > 1 or any(c.clock for c in own.values()):
-        yield path, own
+def _groups(group: Group, path: str, separator: str) -> Iterator[tuple[str, dict[str, Array]]]:
+    """Yield path and columns of a group and of all those in it."""
+    yield path, _own(group)
     for name, item in group.items():
         if not isinstance(item, Array) and _valued(item) is None:
-            yield from _tables(item, _joined(path, name, separator), separator)
+            yield from _groups(item, _joined(path, name, separator), separator)
 
 
-def _all(group: Group, path: str, separator: str) -> Iterator[tuple[str, Array]]:
-    """Yield all columns of a group, those of groups in it by their paths."""
-    for name, column in _own(group).items():
-        yield _joined(path, name, separator), column
-    for name, item in group.items():
-        if not isinstance(item, Array) and _valued(item) is None:
-            yield from _all(item, _joined(path, name, separator), separator)
+def _is_table(columns: Mapping[str, Array]) -> bool:
+    """Whether there are two columns of one length, or a clock."""
+    counts = Counter(column.shape[0] for column in columns.values())
+    return max(counts.values(), default=0) > 1 or any(c.clock for c in columns.values())
 
 
 def _unread(group: Group) -> str:
@@ -206,7 +200,11 @@ def _unread(group: Group) -> str:
 
 def _scattered(group: Group, separator: str) -> dict[str, Array]:
     """Return the columns of all groups in one, by the last part of their paths if that is clear."""
-    found = dict(_all(group, "", separator))
+    found = {
+        _joined(path, name, separator): column
+        for path, own in _groups(group, "", separator)
+        for name, column in own.items()
+    }
     short = {path: path.rpartition(separator)[2] for path in found}
     counts = Counter(short.values())
     return {n if counts[n] == 1 else path: found[path] for path, n in short.items()}

@@ -1,19 +1,15 @@
 """HDF5 files, and MATLAB's of version 7.3, which are such: groups, attributes, references."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import h5py
 import numpy as np
 
 from vibrojax.measured.groups import UNREADABLE, Array
 
-if TYPE_CHECKING:
-    import h5py
 
-
-def is_netcdf(file: "h5py.File") -> bool:
+def is_netcdf(file: h5py.File) -> bool:
     """Whether datasets of a file have named dimensions, as those of NetCDF have."""
-    import h5py
-
     found = []
 
     def look(name: str, item: Any) -> bool | None:
@@ -28,10 +24,8 @@ def is_netcdf(file: "h5py.File") -> bool:
     return bool(found)
 
 
-def read_hdf(group: "h5py.Group", above: tuple[Any, ...] = ()) -> dict[str, Any]:
+def read_hdf(group: h5py.Group, above: tuple[Any, ...] = ()) -> dict[str, Any]:
     """Return what a group of an open file holds; arrays are read later."""
-    import h5py
-
     found: dict[str, Any] = {}
     above = (*above, group)
     for name in map(str, group):
@@ -49,7 +43,7 @@ def read_hdf(group: "h5py.Group", above: tuple[Any, ...] = ()) -> dict[str, Any]
     return found
 
 
-def _structs(name: str, group: "h5py.Group", above: tuple[Any, ...]) -> dict[str, Any]:
+def _structs(name: str, group: h5py.Group, above: tuple[Any, ...]) -> dict[str, Any]:
     """Return a group, or one for each of an array of structs, whose fields are references."""
     fields = {n: item for n, item in group.items() if _refers(item)}
     arrays = [n for n, item in fields.items() if _text(item.attrs.get("MATLAB_class", "")) == ""]
@@ -64,21 +58,17 @@ def _structs(name: str, group: "h5py.Group", above: tuple[Any, ...]) -> dict[str
 
 
 def _refers(item: Any) -> bool:
-    import h5py
-
     return isinstance(item, h5py.Dataset) and h5py.check_dtype(ref=item.dtype) is h5py.Reference
 
 
 def _referred(name: str, item: Any, above: tuple[Any, ...]) -> dict[str, Any]:
-    import h5py
-
     if item in above:
         return {}
     is_group = isinstance(item, h5py.Group)
     return _structs(name, item, (*above, item)) if is_group else _items(name, item, above)
 
 
-def _items(name: str, item: "h5py.Dataset", above: tuple[Any, ...]) -> dict[str, Any]:
+def _items(name: str, item: h5py.Dataset, above: tuple[Any, ...]) -> dict[str, Any]:
     """Return what goes into a group for a dataset: its columns, or its cells, if it has any."""
     if item.shape is None or {"MATLAB_empty", "MATLAB_object_decode"} & {*item.attrs}:
         return {name: UNREADABLE}
@@ -141,7 +131,7 @@ def _texts(value: Any) -> tuple[str, ...]:
     return tuple(str(_text(part)) for part in np.ravel(value))
 
 
-def _unit(item: "h5py.Dataset", field: int = 0) -> str | None:
+def _unit(item: h5py.Dataset, field: int = 0) -> str | None:
     """Return the unit that the attributes of a dataset say."""
     for name in ("units", "unit"):
         if name in item.attrs:

@@ -6,18 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.measured.columns import (
     CONTACT_FORCE,
     Unusable,
+    check_keys,
     column_unit,
     match_columns,
     real_numbers,
     taken,
     usable,
 )
-from vibrojax.measured.curve import check_parameters
 from vibrojax.measured.history import CHANNELS, MeasuredHistory
 from vibrojax.measured.runs import runs_of
 from vibrojax.measured.table import Table, listed
@@ -134,7 +133,7 @@ def read_measured_history(
                     window=window,
                     align_phase=align_phase,
                     settled=settled,
-                    parameters=check_parameters(parameters or {}),
+                    parameters=dict(parameters or {}),
                     label=part.label,
                     notes=tuple(notes),
                 )
@@ -156,9 +155,7 @@ def _channels(
             f"No column for the {lacking}{' or another signal' * (lacking != 'time')}. "
             f"{there} Name it: columns=dict({lacking}={next(iter(table.columns))!r})."
         )
-    for name in units:
-        if name not in _PATTERNS:
-            raise ValueError(f"units: unknown key {name!r}. {nearest(str(name), _PATTERNS)}")
+    check_keys("units", units, _PATTERNS)
     trouble, values, named = Unusable(len(table.lines)), {}, {}
     notes = list(table.notes)
     for key, column in found.items():

@@ -9,7 +9,7 @@ import numpy as np
 
 from vibrojax._tools.signatures import validated
 from vibrojax.measured.columns import Unusable, numbers, real_numbers, taken, usable
-from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves, check_parameters
+from vibrojax.measured.curve import MeasuredCurve, MeasuredCurves
 from vibrojax.measured.curve_columns import CurveColumns
 from vibrojax.measured.directions import (
     ALLOWED,
@@ -107,7 +107,7 @@ def read_measured_curve(
     try:
         split_by = [split] if isinstance(split, str) else list(split or ())
         table = read_table(source, [*(columns or {}).values(), *split_by], None, decimal, at)
-        known = table.attached | check_parameters(parameters or {})
+        known = table.attached | dict(parameters or {})
         runs, found = runs_of(table, run), []
         units = dict(units or {})
         for name, part in runs.items():

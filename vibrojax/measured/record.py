@@ -5,11 +5,12 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from vibrojax._tools.checks import check_choice, nearest
+from vibrojax._tools.checks import check_choice
 from vibrojax._tools.signatures import validated
 from vibrojax.measured.columns import (
     ANY_FORCE,
     Unusable,
+    check_keys,
     column_unit,
     match_columns,
     real_numbers,
@@ -75,9 +76,7 @@ def read_drive(
             )
         table = next(iter(runs.values()))
         found = _columns(table, quantity, columns)
-        for key in units:
-            if key not in found:
-                raise ValueError(f"units: unknown key {key!r}. {nearest(str(key), found)}")
+        check_keys("units", units, found)
         trouble, values = Unusable(len(table.lines)), {}
         for key, column in found.items():
             unit = column_unit(table, key, column, units, [key])

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vibrojax.measured.cells import joined, number_in, sign_of
+from vibrojax.measured.cells import decimal_signs, joined, number_in, sign_of
 from vibrojax.measured.units import find_unit
 
 _MOST_LISTED = 12
@@ -49,6 +49,12 @@ def listed(names: Iterable[str]) -> str:
     names = list(names)
     more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
     return ", ".join(map(repr, names[:_MOST_LISTED])) + more
+
+
+def signs_in(table: Table) -> str | None:
+    """Return the decimal signs that the cells of text show, as `decimal_signs` does."""
+    texts = [joined(cells) for cells in table.columns.values() if cells.dtype.kind in "OUT"]
+    return decimal_signs("\n".join(texts))
 
 
 def with_signs(table: Table, of_file: str | None, decimal: str | None) -> Table:

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from vibrojax._tools.checks import check_choice
-from vibrojax.measured.cells import DECIMALS, decimal_signs, joined, plain_array
+from vibrojax.measured.cells import DECIMALS, plain_array
 from vibrojax.measured.datasets import of_dataset
 from vibrojax.measured.files import table_of_file
-from vibrojax.measured.table import Table, with_signs
+from vibrojax.measured.table import Table, signs_in, with_signs
 
 
 def read_table(
@@ -92,5 +92,4 @@ def _of_arrays(values: Any, decimal: str | None) -> Table:
         raise ValueError(f"Columns must be one-dimensional and equally long, got shapes {sizes}.")
     rows = next(iter(sizes.values()))[0]
     table = Table(columns, {}, np.arange(1, rows + 1), "row", "", {})
-    texts = [joined(column) for column in columns.values() if column.dtype.kind in "OUT"]
-    return with_signs(table, decimal or decimal_signs("\n".join(texts)), decimal)
+    return with_signs(table, decimal or signs_in(table), decimal)

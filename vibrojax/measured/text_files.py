@@ -4,11 +4,11 @@ import codecs
 import csv
 import io
 import re
-from typing import NamedTuple
 
 import numpy as np
 
 from vibrojax.measured.cells import decimal_signs, number_in
+from vibrojax.measured.table import NoTable, Table, with_signs, with_units_row
 
 _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
@@ -20,21 +20,10 @@ _BYTE_ORDER_MARKS = {
 _CONTROL = bytes([*range(9), *range(14, 32), 127])
 
 
-class TextTable(NamedTuple):
-    """Columns of text as they are in a file."""
-
-    columns: dict[str, np.ndarray]
-    """Numbers, or cells of text; None where a line has too few."""
-    lines: np.ndarray
-    """Line of the file on which each row is."""
-    signs: str | None
-    """Decimal signs, as `decimal_signs` has them."""
-
-
 def _decoded(raw: bytes) -> str:
     """Return the text of a file in UTF-8, UTF-16, UTF-32 or Latin-1.
 
-    Raises `ValueError` for what is no text.
+    Raises `NoTable` for what is no text.
     """
     encoding = next((e for mark, e in _BYTE_ORDER_MARKS.items() if raw.startswith(mark)), None)
     encoding = encoding or _unmarked(raw[:4096])
@@ -42,12 +31,12 @@ def _decoded(raw: bytes) -> str:
         text = raw.decode(encoding)
     except UnicodeDecodeError:
         if encoding != "utf-8":
-            raise ValueError(f"is not text: it begins as {encoding.upper()} but is not") from None
+            raise NoTable(f"is not text: it begins as {encoding.upper()} but is not") from None
         text = raw.decode("latin-1")
     text = text.rstrip("\x1a")  # how DOS ended files
     plain = text.encode()
     if len(plain.translate(None, _CONTROL)) < len(plain):
-        raise ValueError("is not text")
+        raise NoTable("is not text")
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
@@ -67,7 +56,7 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
     try:
         return [cell.strip() for cell in next(reader, [])]
     except csv.Error as error:  # a cell of more than 131072 characters
-        raise ValueError(f"is not a table: {error}") from None
+        raise NoTable(f"is not a table: {error}") from None
 
 
 def _header(line: str, delimiter: str | None) -> list[str]:
@@ -75,12 +64,12 @@ def _header(line: str, delimiter: str | None) -> list[str]:
     return _cells(re.sub(r"\s+(?=[\[(])", "", line) if delimiter is None else line, delimiter)
 
 
-def read_text(raw: bytes, by_position: bool, decimal: str | None) -> TextTable:
-    """Split the text of a file, with a header unless columns are asked for by position.
+def read_text(raw: bytes, by_position: bool, decimal: str | None) -> Table:
+    """Return the table of a text file, with a header unless columns are asked for by position.
 
     Cells are between semicolons, tabs, commas or spaces, whichever the first row has; `#` begins a
-    comment. `decimal` is the decimal sign, None: from the cells. Raises `ValueError` for what is no
-    such table; its message goes on from the name of the file.
+    comment. `decimal` is the decimal sign, None: from the cells. Columns are numbers, or cells of
+    text, None where a line has too few. Raises `NoTable` for what is no such table.
     """
     first, comment, line, rest = _first_row(_decoded(raw))
     unquoted = re.sub(r'"[^"]*"', "", first)
@@ -90,7 +79,7 @@ def read_text(raw: bytes, by_position: bool, decimal: str | None) -> TextTable:
         width, header = len(header), _header(comment, delimiter)
         if len(header) != width:
             if not by_position:
-                raise ValueError(
+                raise NoTable(
                     "has no header: its first row is numbers. Give the columns by position, "
                     "counted from 0: columns=dict(frequency=0, amplitude=1)"
                 )
@@ -99,14 +88,15 @@ def read_text(raw: bytes, by_position: bool, decimal: str | None) -> TextTable:
     header = [name or f"column {k}" for k, name in enumerate(header)]
     double = sorted({name for name in header if header.count(name) > 1})
     if double:
-        raise ValueError(f"has several columns named {', '.join(double)}")
+        raise NoTable(f"has several columns named {', '.join(double)}")
     body, lines = _rows(rest, line)
     signs = decimal or _decimal_signs(body, delimiter)
     found = _split(body, len(lines), len(header), delimiter, signs)
     if found is None:
         rows = body.split("\n") if lines.size else []
         found = _split_one_by_one(rows, len(header), delimiter, lines)
-    return TextTable(dict(zip(header, found, strict=True)), lines, signs)
+    table = Table(dict(zip(header, found, strict=True)), {}, lines, "line", "", {})
+    return with_signs(with_units_row(table), signs, decimal)
 
 
 def _first_row(text: str) -> tuple[str, str, int, str]:
@@ -122,7 +112,7 @@ def _first_row(text: str) -> tuple[str, str, int, str]:
             return line, comment, number, text[end + 1 :]
         comment = plain.lstrip("#").strip() if plain else comment
         start = end + 1
-    raise ValueError("has no rows")
+    raise NoTable("has no rows")
 
 
 def _rows(text: str, before: int) -> tuple[str, np.ndarray]:
@@ -190,12 +180,12 @@ def _split(
 def _split_one_by_one(
     rows: list[str], width: int, delimiter: str | None, lines: np.ndarray
 ) -> list[np.ndarray]:
-    """Return the columns of text of any rows. Raises `ValueError` for one with too many cells."""
+    """Return the columns of text of any rows. Raises `NoTable` for one with too many cells."""
     cells = [_cells(row, delimiter) for row in rows]
     wide = [line for line, own in zip(lines, cells, strict=True) if any(own[width:])]
     if wide:
         more = f" and {len(wide) - 1} more lines" if len(wide) > 1 else ""
         hint = ". Put decimal commas in quotes, or semicolons between cells" * (delimiter == ",")
-        raise ValueError(f"has more cells than its header's {width} on line {wide[0]}{more}{hint}")
+        raise NoTable(f"has more cells than its header's {width} on line {wide[0]}{more}{hint}")
     padded = [own[:width] + [None] * (width - len(own)) for own in cells]
     return [np.array([own[k] for own in padded], dtype=object) for k in range(width)]

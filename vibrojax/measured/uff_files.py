@@ -132,19 +132,19 @@ class _Record:
         """Whether this is a function of `time` or `frequency` that can be read."""
         return self.kind in _FITTING[axis] and self.along == axis
 
-    def unit(self, part: str, quantity: str | None, factors: dict[str, Any] | None) -> str | None:
-        """Return the unit of a part, as its label says it, or in the units of data set 164."""
+    def unit(
+        self, part: str, quantity: str | None, factors: dict[str, Any] | None = None
+    ) -> tuple[str | None, float]:
+        """Return the unit of a part, and by what its numbers are in it.
+
+        It is as the label says, else in SI by the `factors` of data set 164.
+        """
         text = str(self.fields.get(f"{part}_axis_units_lab", "")).strip()
         if text and text.upper() != "NONE":
-            return text
-        return _OWN_UNIT.get(quantity or "") if factors is None else _SI.get(quantity or "")
-
-    def factor(self, part: str, quantity: str | None, factors: dict[str, Any] | None) -> float:
-        """Return what brings a part into the unit that `unit` says."""
-        text = str(self.fields.get(f"{part}_axis_units_lab", "")).strip()
-        if factors is None or quantity not in _SI or (text and text.upper() != "NONE"):
-            return 1.0
-        return 1 / factors["force" if "force" in quantity else "length"]
+            return text, 1.0
+        if factors is None or quantity not in _SI:
+            return (_OWN_UNIT.get(quantity or "") if factors is None else None), 1.0
+        return _SI[quantity], 1 / factors["force" if "force" in quantity else "length"]
 
 
 def _over_time(records: list[_Record], factors: dict[str, Any] | None) -> Table:
@@ -156,18 +156,15 @@ def _over_time(records: list[_Record], factors: dict[str, Any] | None) -> Table:
     double = [name for name in names if names.count(name) > 1]
     if double:
         raise NoTable(f"has several records of {double[0]}: say which by at=, counted from 1")
-    columns = {}
+    columns, units = {}, {}
     for name, record in zip(names, records, strict=True):
-        values = record.fields["data"] * record.factor("ordinate", record.quantity, factors)
-        columns[name] = (record.fields["x"], values)
-    axes = dict.fromkeys(str(record.unit("abscissa", "time", None)) for record in records)
+        units[name], factor = record.unit("ordinate", record.quantity, factors)
+        columns[name] = (record.fields["x"], record.fields["data"] * factor)
+    axes = dict.fromkeys(str(record.unit("abscissa", "time")[0]) for record in records)
     if len(axes) > 1:
         raise NoTable(f"has times in {listed(axes)}: say which record by at=, counted from 1")
     time, found, said = side_by_side(columns)
-    units: dict[str, str | None] = {"time": next(iter(axes))}
-    units |= {
-        n: r.unit("ordinate", r.quantity, factors) for n, r in zip(names, records, strict=True)
-    }
+    units["time"] = next(iter(axes))
     numbers = ", ".join(str(record.number) for record in records)
     notes = (f"Read from records {numbers} (data set 58).", *([said] if said else []))
     return table_of({"time": time, **found}, units, notes)
@@ -176,13 +173,13 @@ def _over_time(records: list[_Record], factors: dict[str, Any] | None) -> Table:
 def _over_frequency(record: _Record, factors: dict[str, Any] | None) -> Table:
     """Return frequency and amplitude of a record: a response is one of displacement."""
     frequency, values = record.fields["x"], record.fields["data"]
-    unit = record.unit("ordinate", record.quantity, factors)
-    values = values * record.factor("ordinate", record.quantity, factors)
+    unit, factor = record.unit("ordinate", record.quantity, factors)
+    values = values * factor
     notes = [f"Read from record {record.number}, a {record}."]
-    axis_unit = record.unit("abscissa", "frequency", None)
+    axis_unit, _ = record.unit("abscissa", "frequency")
     if record.kind in (4, 5):
-        below = record.unit("orddenom", record.over, factors)
-        values = values / record.factor("orddenom", record.over, factors)
+        below, factor = record.unit("orddenom", record.over, factors)
+        values = values / factor
         if unit and not below:  # some programs write both in one label, as m/s^2/N
             unit, _, below = (part.strip(" ()") for part in unit.rpartition("/"))
         if unit or below or record.quantity not in (None, "displacement"):

@@ -108,7 +108,7 @@ def mean_force(
     return total / (2 * np.pi * period)
 
 
-def contact_fraction(tables: Tables, motion: PiecewiseMotion, period: int) -> Float[Array, ""]:
+def contact_fraction(motion: PiecewiseMotion, period: int) -> Float[Array, ""]:
     """Share of the time in contact with any stop."""
     length = jnp.maximum(motion.stop - motion.start, 0.0)
     return jnp.sum(jnp.where(motion.phase > 0, length, 0.0)) / (2 * np.pi * period)
