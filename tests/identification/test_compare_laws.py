@@ -72,6 +72,7 @@ def test_a_number_of_the_law_may_be_private():
 def test_of_a_record_left_out_only_private_numbers_have_bounds(monkeypatch):
     def fitted(make, measured, guess, bounds=None, *, private=(), **others):
         asked.append((sorted(guess), sorted(bounds or ())))
+        assert set(private) <= set(guess)
         made = object.__new__(Identification)  # what a comparison reads of it
         object.__setattr__(made, "estimate", {n: 1.0 for n in guess if n not in private})
         object.__setattr__(made, "chi_square", 1.0)
@@ -93,6 +94,13 @@ def test_of_a_record_left_out_only_private_numbers_have_bounds(monkeypatch):
     )
     whole, left_out = (["initial_velocity", "stiffness"],) * 2, (["initial_velocity"],) * 2
     assert asked == [whole, whole, left_out, whole, left_out] * 2
+    # A number that one of the laws has.
+    asked.clear()
+    bounds = dict(dissipation=vj.Range(0.01, 2.0))
+    vj.compare_laws(cart, runs[0], None, LAWS, bounds, private=["dissipation"])
+    no_tension, hunt_crossley = asked
+    assert no_tension == (["damping", "stiffness"], [])
+    assert hunt_crossley == (["dissipation", "stiffness"], ["dissipation"])
 
 
 @pytest.mark.slow
@@ -129,6 +137,8 @@ def test_what_cannot_be_compared_is_refused():
         (dict(make_system=lambda mass: cart(None, mass)), "must take an argument `law`"),
         (dict(measured=[]), "measured must be a MeasuredHistory"),
         (dict(measured=silent), "has no contact_force"),
+        (dict(bounds=dict(mas=vj.Range(0.1, 2.0))), "bounds of 'mas': it is neither in guess nor"),
+        (dict(private=["gap"]), "private of 'gap': it is neither in guess nor a number of one of"),
         (dict(laws=["hertz"]), "laws must be at least two"),
         (dict(laws=3), "laws must be names of kelvin_voigt.*got 3"),
         (dict(laws=["hertz", "herz"]), "there is no law 'herz'.*hertz"),

@@ -1,11 +1,12 @@
 """Which contact law explains force records: each is fitted, and foretells records left out."""
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from vibrojax._tools.checks import nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.identification.identification import Identification
 from vibrojax.identification.identify import identify
@@ -80,8 +81,9 @@ def compare_laws(
             nothing is given; or a dict from any name to a function that makes a law and first
             values of its arguments, `(function, dict(stiffness=100.0))`, or to None for one of
             those known.
-        bounds: `vj.Range(low, high)` for some of the numbers in `guess`.
-        private: numbers that differ from record to record, as of `identify`.
+        bounds: `vj.Range(low, high)` for some of the numbers in `guess` or of laws; those that
+            have the number keep to it.
+        private: numbers that differ from record to record, as of `identify`; of laws also.
         confidence: of the intervals.
         numbers: arguments of the function that are held fixed.
 
@@ -96,20 +98,41 @@ def compare_laws(
         )
     candidates = candidates_of(laws, impact_of(histories))
     rest = dict(guess or {})
-    settings: dict[str, Any] = {"bounds": bounds, "confidence": confidence}
+    _check_fitted(candidates.values(), rest, bounds or {}, private)
     makers = {name: _WithLaw(make_system, law, name) for name, law in candidates.items()}
     judged = {}
     for name, make in makers.items():
         first = {**make.law.guess, **rest}
-        fit = identify(make, histories, first, private=private, **settings, **numbers)
+        settings: dict[str, Any] = {
+            "bounds": {n: one for n, one in (bounds or {}).items() if n in first},
+            "private": [n for n in private if n in first],
+        }
+        fit = identify(make, histories, first, confidence=confidence, **settings, **numbers)
         first |= {n: v for n, v in fit.estimate.items() if n in first}
         foretold = []
         for k, record in enumerate(histories if len(histories) > 1 else ()):
             others = [*histories[:k], *histories[k + 1 :]]
-            part = identify(make, others, first, private=private, **settings, **numbers)
-            foretold.append(_foretold(make, part, record, first, private, bounds, numbers))
+            part = identify(make, others, first, **settings, **numbers)
+            foretold.append(_foretold(make, part, record, first, **settings, numbers=numbers))
         judged[name] = Judged(fit, tuple(foretold))
     return LawComparison(judged)
+
+
+def _check_fitted(
+    laws: Iterable[Candidate],
+    guess: Mapping[str, Any],
+    bounds: Mapping[str, Any],
+    private: Sequence[str],
+) -> None:
+    """Refuse bounds of numbers, and private ones, that are fitted with none of the laws."""
+    fitted = {*guess, *(name for law in laws for name in law.guess)}
+    for where, names in (("bounds", bounds), ("private", private)):
+        for name in names:
+            if name not in fitted:
+                raise ValueError(
+                    f"{where} of {name!r}: it is neither in guess nor a number of one of the laws, "
+                    f"so it is not fitted. {nearest(name, sorted(fitted))}"
+                )
 
 
 def _histories(measured: Any) -> list[MeasuredHistory]:
@@ -128,8 +151,8 @@ def _foretold(
     fit: Identification,
     record: MeasuredHistory,
     guess: Mapping[str, float | None],
+    bounds: Mapping[str, Any],
     private: Sequence[str],
-    bounds: Mapping[str, Any] | None,
     numbers: Mapping[str, Any],
 ) -> float:
     """Mean square of the residuals, in deviations, of a record that the fit has not seen."""
@@ -140,7 +163,7 @@ def _foretold(
     count = len(record.observations().value)
     if private:
         first = {name: guess[name] for name in private}
-        own_bounds = {name: one for name, one in (bounds or {}).items() if name in first}
+        own_bounds = {name: one for name, one in bounds.items() if name in first}
         return identify(make, record, first, own_bounds, **numbers, **shared).chi_square / count
     coordinates, held = fitted_and_held(make, (record,), shared, {}, (), {}, numbers)
     problem = Problem(make, [(record,)], coordinates, "distance", held)
