@@ -184,7 +184,8 @@ def fold_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes:
     found: Slopes = {name: {} for name in rigs.names}
     for variable, folds in computed.folds.items():
         value = computed.numbers[variable]
-        there = np.isfinite(value) & np.isfinite(folds.states).all(axis=-1)
+        # Touches are found anew, without a state.
+        there = np.isfinite(value) & (folds.free | np.isfinite(folds.states).all(axis=-1))
         slope = np.full((*value.shape, len(rigs.names)), np.nan)
         for free, slopes_of in ((True, _of_touches), (False, _of_folds)):
             chosen = np.nonzero(there & (folds.free == free))
