@@ -21,7 +21,7 @@ from vibrojax.ensemble.slopes import WithSlopes, systems_with_slopes, with_slope
 from vibrojax.maps.measures import STEPWISE, Curve, Measure
 from vibrojax.maps.responses import Computed, Folds, Grid
 from vibrojax.maps.rig_maker import RigMaker
-from vibrojax.maps.template import DIFFERENTIATED
+from vibrojax.results.variables import DIFFERENTIATED
 from vibrojax.steady.batches import in_batches, take_rigs
 from vibrojax.steady.fold_ahead import folds_within
 from vibrojax.steady.paths import frequency_path

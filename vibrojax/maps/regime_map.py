@@ -20,8 +20,9 @@ from vibrojax.maps.responses import (
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.regime.poincare_map import PoincareMap
-from vibrojax.regime.regime_points import SWEPT, carried_points
+from vibrojax.regime.regime_points import carried_points
 from vibrojax.regime.settings import RegimeSettings
+from vibrojax.results.variables import RESPONSE
 from vibrojax.stepping.stepper import AbstractStepper
 
 VARIABLES = (
@@ -31,7 +32,7 @@ VARIABLES = (
     "return_error",
     "lyapunov_exponent",
     "lyapunov_standard_error",
-    *SWEPT,
+    *RESPONSE,
     "cross_well",
     "crossings_per_period",
     "displacement_rms",

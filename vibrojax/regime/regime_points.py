@@ -14,21 +14,11 @@ from vibrojax.regime.observing import sample_motions
 from vibrojax.regime.poincare_map import Numbers, PoincareMap, Report
 from vibrojax.regime.settings import BasinSettings, RegimeSettings
 from vibrojax.results.status import Status
+from vibrojax.results.variables import RESPONSE
 from vibrojax.steady.kinds import Regime, regime_of
 from vibrojax.stepping.prepared_rigs import rigs_of
 from vibrojax.stepping.resonance import is_unbounded
 from vibrojax.stepping.stepper import AbstractStepper
-
-SWEPT = (
-    "amplitude_ratio",
-    "peak_ratio",
-    "rms_ratio",
-    "first_harmonic_ratio",
-    "contact_force",
-    "contact_fraction",
-    "contacts_per_period",
-)
-"""What is measured as in a frequency sweep."""
 
 
 class Ready(NamedTuple):
@@ -125,7 +115,7 @@ def regime_points(
         "return_error": away,
         "lyapunov_exponent": exponent,
         "lyapunov_standard_error": error,
-        **{name: measured[name] for name in SWEPT},
+        **{name: measured[name] for name in RESPONSE},
         **sampled,
     }
     return found, np.where(alive[:, None], end, 0.0)

@@ -12,26 +12,14 @@ from vibrojax.results.axes import coordinates_of, view_of
 from vibrojax.results.derived import AbstractRatios
 from vibrojax.results.saving import AbstractSaved
 from vibrojax.results.status import Status
-from vibrojax.results.variables import VARIABLES, described_as
+from vibrojax.results.variables import RESPONSE, VARIABLES, described_as
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
 Array = np.ndarray
-CURVES = (
-    "amplitude_ratio",
-    "peak_ratio",
-    "rms_ratio",
-    "first_harmonic_ratio",
-    "contact_force",
-    "contact_fraction",
-    "contacts_per_period",
-    "period",
-    "status",
-    "periods_marched",
-    "steps",
-)
+CURVES = (*RESPONSE, "period", "status", "periods_marched", "steps")
 MEASURES = (
     "jump_up",
     "jump_down",
