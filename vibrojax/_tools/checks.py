@@ -5,7 +5,7 @@ Only concrete values are checked: under `jit`, `vmap` or `grad` a value is a tra
 
 import difflib
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import equinox as eqx
@@ -56,6 +56,12 @@ def nearest(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"Did you mean {close[0]!r}? " if close else ""
     return f"{hint}Known: {', '.join(known) or 'nothing'}."
+
+
+def check_known(what: str, name: Any, known: Collection[str]) -> None:
+    """Raise `ValueError` for a name that is unknown: of `what`, such as a variable."""
+    if name not in known:
+        raise ValueError(f"Unknown {what} {name!r}. {nearest(str(name), known)}")
 
 
 def _shown(values: np.ndarray, bad: np.ndarray | np.bool_) -> Any:

@@ -35,17 +35,12 @@ def write_report(
     `source` and `files` are as for `run_again`. Raises `ValueError` for a path that is not of a
     page, `OSError` where writing fails.
     """
-    check_page(path)
+    if path_of("path", path).suffix.lower() not in ENDINGS:
+        raise ValueError(f"path must end in .html, got {os.fspath(path)!r}.")
     with whole_files(path) as (part,):
         assert part is not None
         text = report_page(fit, run_again(fit, source, files))
         part.write_text(text, encoding="utf-8")
-
-
-def check_page(path: str | os.PathLike[str]) -> None:
-    """Raise `ValueError` unless a path ends as that of a page."""
-    if path_of("path", path).suffix.lower() not in ENDINGS:
-        raise ValueError(f"path must end in .html, got {os.fspath(path)!r}.")
 
 
 def report_page(fit: Fit, again: RunAgain) -> str:

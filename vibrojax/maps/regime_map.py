@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax._tools.checks import nearest
+from vibrojax._tools.checks import check_known
 from vibrojax.ensemble.frequencies import DIRECTIONS
 from vibrojax.maps.responses import (
     MARCHED,
@@ -71,8 +71,7 @@ class RegimeMap(AbstractMapResponse):
         equations = as_arrays(sample).equations()
         known = equations.observables(jnp.zeros(equations.size))
         for name in self.settings.observables:
-            if name not in known:
-                raise ValueError(f"Unknown observable {name!r}. {nearest(str(name), known)}")
+            check_known("observable", name, known)
 
     @property
     def layout(self) -> Layout:

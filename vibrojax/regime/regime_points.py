@@ -1,13 +1,12 @@
 """Studies of regimes made ready, and the regimes of lanes, alone or carried along an axis."""
 
-from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax._tools.described import recipe
+from vibrojax._tools.described import provenance, recipe
 from vibrojax.ensemble.frequencies import frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.regime.observing import sample_motions
@@ -50,14 +49,8 @@ def made_ready(
     axis, grid = frequency_axis(frequency_ratio, frequency)
     lanes = lanes_of(system, numbers, zipped)
     stepper = settings.stepper_of(lanes.sample, axis)
-    attributes = {
-        "title": f"vibrojax {title}",
-        "rig": lanes.description,
-        "stepper": recipe(stepper),
-        "settings": recipe(settings),
-        "vibrojax_version": version("vibrojax"),
-        "jax_version": version("jax"),
-    }
+    attributes = provenance(title, lanes.description)
+    attributes |= {"stepper": recipe(stepper), "settings": recipe(settings)}
     return Ready(axis, grid, lanes, stepper, attributes)
 
 

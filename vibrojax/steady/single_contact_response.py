@@ -1,7 +1,6 @@
 """The response with one contact per drive period on a grid of contact time and frequency."""
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -12,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from vibrojax._tools.checks import check_increasing, check_range
 from vibrojax._tools.compiled import compiled
-from vibrojax._tools.described import recipe
+from vibrojax._tools.described import provenance, recipe
 from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.frequencies import check_drive, frequency_axis
 from vibrojax.model.drives import AbstractDrive
@@ -259,12 +258,7 @@ def single_contact_response(
         valid=np.asarray(points.valid),
         touch_gap_ratio=np.asarray(touch),
         contact_free_amplitude_ratio=np.asarray(free),
-        attributes={
-            "title": "vibrojax single-contact response",
-            "rig": recipe(system),
-            "vibrojax_version": version("vibrojax"),
-            "jax_version": version("jax"),
-        },
+        attributes=provenance("single-contact response", recipe(system)),
     )
 
 

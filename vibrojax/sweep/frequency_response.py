@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax._tools.checks import nearest
+from vibrojax._tools.checks import check_known
 from vibrojax._tools.signatures import validated
 from vibrojax.results.axes import coordinates_of, view_of
 from vibrojax.results.derived import AbstractRatios
@@ -170,8 +170,7 @@ class FrequencyResponse(AbstractSaved, AbstractRatios):
         `selection` picks one value (nearest) of each other axis, which is drawn as lines where it
         is left out. Raises `ValueError` for an unknown variable or axis.
         """
-        if variable not in self.curves:
-            raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, self.curves)}")
+        check_known("variable", variable, self.curves)
         directions = self.directions
         if (wanted := selection.pop("direction", None)) is not None:
             if wanted not in directions:
