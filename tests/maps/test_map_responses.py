@@ -5,8 +5,11 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from unit_oscillator import oscillator
 
 import vibrojax as vj
+from vibrojax.branches.points import BranchPoints, SpecialPoint
+from vibrojax.maps import continuation_map
 
 GRID = np.array([1.0, 1.1, 1.15, 1.2, 1.4])
 GAPS = [3.5e-4, 4e-4]
@@ -68,6 +71,62 @@ def test_branches_are_those_of_single_calls(branches):
         np.testing.assert_allclose(folds[np.isfinite(folds)], branch.folds[:4], rtol=1e-7)
         assert float(lane.hysteresis_width) == pytest.approx(np.ptp(branch.folds), rel=1e-7)
     assert (branches.stable == 0).any()
+
+
+def branch_with(*special_points):
+    """A branch of an oscillator that holds nothing but these special points."""
+    branch = object.__new__(BranchPoints)
+    own = {"values": np.zeros(0), "initial_state": np.zeros((0, 2)), "period": 1, "ticks": 0}
+    own |= {"status": "completed", "natural_frequency": 1.0, "special_points": special_points}
+    for name, value in own.items():
+        object.__setattr__(branch, name, value)
+    return branch
+
+
+def map_of_branch(monkeypatch, branch, measures, **more):
+    monkeypatch.setattr(continuation_map, "follow_branches", lambda plan, paths: [branch])
+    band = {"frequency": [0.1, 0.3]}
+    return vj.parameter_map(
+        oscillator, response="continuation", measures=measures, **band, gap=[1.2], **more
+    )
+
+
+@pytest.mark.parametrize(
+    ("places", "width"),
+    [
+        ([], 0.0),
+        ([0.2, 0.15], 0.05),
+        ([0.2, 0.15, 0.18, 0.16, 0.14], 0.06),
+        ([0.2, 0.15, 0.18, 0.16, 0.17, 0.13, 0.27, 0.14], 0.14),
+    ],
+)
+def test_width_counts_folds_that_are_not_kept(monkeypatch, places, width):
+    state = np.array([1.5, 0.0])
+    branch = branch_with(
+        *(SpecialPoint("fold", float(place), 5.0, 3.0, state, k) for k, place in enumerate(places))
+    )
+    found = map_of_branch(monkeypatch, branch, ["fold", "hysteresis_width"])
+    assert float(found.hysteresis_width[0]) == pytest.approx(width, abs=1e-12)
+    kept = found.fold[0].values
+    np.testing.assert_array_equal(kept[np.isfinite(kept)], places[:4])
+
+
+def test_a_fold_at_a_first_touch_has_a_derivative(monkeypatch):
+    """There the amplitude without contact is the gap: |0.3 / (1 - w^2 + 0.1 w i)| = gap."""
+
+    def touch(gap):
+        b = 2 - 0.01
+        square = (b - np.sqrt(b**2 - 4 * (1 - (0.3 / gap) ** 2))) / 2
+        return float(np.sqrt(square)) / (2 * np.pi)
+
+    place, step = touch(1.2), 1e-5
+    corner = SpecialPoint("touch_fold", place, 4.0, 0.0, None, 1)
+    branch = branch_with(corner, SpecialPoint("fold", 0.2, 5.0, 3.0, None, 2))
+    found = map_of_branch(monkeypatch, branch, ["fold"], gradients="gap")
+    slope = (touch(1.2 + step) - touch(1.2 - step)) / (2 * step)
+    own = found.d_fold_d_gap[0].values
+    assert own[0] == pytest.approx(slope, rel=1e-7)
+    assert np.isnan(own[1:]).all()
 
 
 def assert_difference(make, found, names, numbers, at, step=1e-4, rtol=2e-3):

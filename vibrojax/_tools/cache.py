@@ -69,12 +69,6 @@ def _processor() -> str:
     return f"{platform.machine()} {platform.processor()}"
 
 
-@functools.cache
-def folder() -> Path | None:
-    """Folder of traced programs of this process; None where there is none. See `start`."""
-    return start()
-
-
 def start() -> Path | None:
     """Begin to use the cache; return the folder of traced programs, None where there is none.
 
@@ -112,6 +106,10 @@ def start() -> Path | None:
         # A disk that fills up is no reason to say so for every program.
         warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     return traced
+
+
+folder = functools.cache(start)
+"""Returns the folder of traced programs of this process; begins to use the cache once."""
 
 
 def _folders(where: Path) -> list[Path]:

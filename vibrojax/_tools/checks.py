@@ -5,7 +5,7 @@ Only concrete values are checked: under `jit`, `vmap` or `grad` a value is a tra
 
 import difflib
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import equinox as eqx
@@ -56,6 +56,12 @@ def nearest(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"Did you mean {close[0]!r}? " if close else ""
     return f"{hint}Known: {', '.join(known) or 'nothing'}."
+
+
+def check_known(what: str, name: Any, known: Collection[str]) -> None:
+    """Raise `ValueError` for a name that is unknown: of `what`, such as a variable."""
+    if name not in known:
+        raise ValueError(f"Unknown {what} {name!r}. {nearest(str(name), known)}")
 
 
 def _shown(values: np.ndarray, bad: np.ndarray | np.bool_) -> Any:
@@ -185,28 +191,35 @@ def check_choice(name: str, value: Any, choices: tuple[Any, ...]) -> None:
         _refuse(name, value, f"one of {listed}", "")
 
 
-def check_frequencies(name: str, values: Any, unit: str) -> np.ndarray:
+def check_increasing(name: str, values: np.ndarray, advice: str = "") -> None:
+    """Raise `ValueError` unless every value is larger than the one before it."""
+    falls = np.diff(values) <= 0
+    if falls.any():
+        bad = int(np.argmax(falls))
+        tail = f" {advice}" if advice else ""
+        raise ValueError(
+            f"{name} must increase strictly, got {values[bad]} then {values[bad + 1]} at index "
+            f"{bad + 1}.{tail}"
+        )
+
+
+def check_frequencies(name: str, values: Any, unit: str, advice: str = "Sort it.") -> np.ndarray:
     """Return a frequency axis as a 1-D array: finite, above 0, strictly increasing, not empty.
 
-    Raises `ValueError` otherwise.
+    Raises `ValueError` otherwise; the `advice` is for values that do not increase.
     """
+    in_brackets = f"({unit.strip('()')})"
     if not NUMBERS.accepts(values):
-        _refuse(name, values, f"a sequence of numbers ({unit})", "")
+        _refuse(name, values, f"a sequence of numbers {in_brackets}", "")
     axis = np.asarray(values, dtype=float)
     if axis.ndim > 1:
         raise ValueError(f"{name} must be one-dimensional, got an array of shape {axis.shape}.")
     axis = np.atleast_1d(axis)
     if axis.size == 0:
-        raise ValueError(f"{name} is empty: give at least one value ({unit}).")
+        raise ValueError(f"{name} is empty: give at least one value {in_brackets}.")
     for wrong, allowed in ((~np.isfinite(axis), "finite"), (axis <= 0, f"above 0 {unit}")):
         if wrong.any():
             bad = int(np.argmax(wrong))
             raise ValueError(f"{name} must be {allowed}, got {axis[bad]} at index {bad}.")
-    falls = np.diff(axis) <= 0
-    if falls.any():
-        bad = int(np.argmax(falls))
-        raise ValueError(
-            f"{name} must increase strictly, got {axis[bad]} then {axis[bad + 1]} at index "
-            f"{bad + 1}. Sort it; the backward sweep is made for you."
-        )
+    check_increasing(name, axis, advice)
     return axis

@@ -6,6 +6,7 @@ numbers. What JAX is tracing, and placeholders, show their shape.
 
 import dataclasses
 import reprlib
+from importlib.metadata import version
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -110,6 +111,16 @@ def in_short(value: Any) -> str:
 def recipe(value: Any) -> str:
     """Return the text from which Python makes the value again, as files keep it."""
     return eqx.tree_pformat(value) if isinstance(value, eqx.Module) else repr(value)
+
+
+def provenance(study: str, rig: str) -> dict[str, str]:
+    """Return the attributes of a result that say what was run, on which rig, by which versions."""
+    return {
+        "title": f"vibrojax {study}",
+        "rig": rig,
+        "vibrojax_version": version("vibrojax"),
+        "jax_version": version("jax"),
+    }
 
 
 class AbstractSettings(eqx.Module):

@@ -4,8 +4,9 @@ import queue
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from typing import Any, TypeVar
+
+from vibrojax._tools.interrupts import next_of
 
 Request = TypeVar("Request")
 Answer = TypeVar("Answer")
@@ -51,7 +52,7 @@ def gathered(
                 futures[k].add_done_callback(lambda _: asked.put(None))
             running, waiting = len(futures), {}
             while running:
-                message = _next(asked)
+                message = next_of(asked)
                 if message is None:
                     running -= 1
                 else:
@@ -65,10 +66,3 @@ def gathered(
             for each in answers:
                 each.put((Stopped, None))
     return futures
-
-
-def _next(asked: "queue.SimpleQueue[Any]") -> Any:
-    while True:
-        # Not without end: on Windows nothing interrupts that.
-        with suppress(queue.Empty):
-            return asked.get(timeout=0.2)

@@ -146,7 +146,7 @@ def in_threads(
         for thread in threads:
             thread.start()
         for _ in range(total):
-            result, error = _next(ended)
+            result, error = next_of(ended)
             if error is not None:
                 raise error
             yield result
@@ -182,11 +182,12 @@ def stoppable(function: Callable[..., Result], *arguments: Any, **keywords: Any)
     return result
 
 
-def _next(ended: "queue.SimpleQueue[Result]") -> Result:
+def next_of(items: "queue.SimpleQueue[Result]") -> Result:
+    """Wait for the next item of a queue, so that an interrupt can end it."""
     while True:
         # Not without end: on Windows nothing interrupts that.
         with suppress(queue.Empty):
-            return ended.get(timeout=0.2)
+            return items.get(timeout=0.2)
 
 
 def _stop(threads: list[_Worker], patience: float = math.inf) -> None:

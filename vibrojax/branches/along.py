@@ -11,7 +11,7 @@ from jax.extend.core import Var
 
 from vibrojax._tools.checks import check_positive
 from vibrojax._tools.compiled import compiled
-from vibrojax._tools.described import in_short, recipe
+from vibrojax._tools.described import in_short
 from vibrojax.ensemble.arguments import Arguments, arguments_of, numbers_apart
 from vibrojax.ensemble.frequencies import check_drive
 from vibrojax.ensemble.lanes import check_lists, check_no_numbers, made_by, stacked
@@ -42,7 +42,6 @@ class Along(NamedTuple):
     far_rigs: list[AbstractSystem]
     """The same at its high end; none where the frequency is followed."""
     sample: AbstractSystem
-    description: str
 
     def paths(self, exact: bool) -> AbstractPath:
         """Make the stacked paths of all lanes."""
@@ -169,7 +168,6 @@ def along_of(
         rigs=rigs,
         far_rigs=far,
         sample=sample,
-        description=recipe(sample),
     )
 
 

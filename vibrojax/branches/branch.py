@@ -9,14 +9,14 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 
-from vibrojax._tools.checks import nearest
+from vibrojax._tools.checks import check_known
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.comparing import compare
 from vibrojax.branches.points import CURVES, BranchPoints
 from vibrojax.branches.resampling import resample
 from vibrojax.branches.settings import ContinuationSettings
 from vibrojax.branches.switching import switch_branch
-from vibrojax.results.axes import coordinates_of, pick
+from vibrojax.results.axes import coordinates_of, place_of
 from vibrojax.results.saving import AbstractSaved
 from vibrojax.sweep.frequency_response import FrequencyResponse
 
@@ -102,8 +102,7 @@ def _picture(
     band: "xarray.Dataset | None" = None,
 ) -> "Figure":
     known = (*CURVES, *branches[0].derived)
-    if variable not in known:
-        raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, known)}")
+    check_known("variable", variable, known)
     drawn = [b.to_xarray() for b in branches if len(b.values)]
     if not drawn:
         raise ValueError("None of the branches has a point to draw.")
@@ -145,10 +144,7 @@ class Branches(eqx.Module):
 
         Raises `ValueError` for an axis that is unknown or left out.
         """
-        index, missing = pick(self.axes, labels)
-        if missing:
-            raise ValueError(f"Give a value of {', '.join(missing)} too.")
-        return self.branches[int(np.ravel_multi_index(index, self.shape))]
+        return self.branches[int(np.ravel_multi_index(place_of(self.axes, labels), self.shape))]
 
     @property
     def status(self) -> np.ndarray:

@@ -6,6 +6,7 @@ from typing import Any, overload
 
 from jaxtyping import ArrayLike
 
+from vibrojax._tools.described import recipe
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.along import along_of
 from vibrojax.branches.branch import Branch, Branches
@@ -94,7 +95,7 @@ def continue_response(
         low=along.range.low,
         high=along.range.high,
         labels=along.labels,
-        description=along.description,
+        description=recipe(along.sample),
     )
     if isolas and not plan.exact:
         raise ValueError("isolas must be False for stops that are not linear: leave it out.")

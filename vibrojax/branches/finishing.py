@@ -1,10 +1,9 @@
 """From points to branches: ratios, special points, and the result."""
 
-from importlib.metadata import version
-
 import jax.numpy as jnp
 import numpy as np
 
+from vibrojax._tools.described import provenance
 from vibrojax.branches.continuation import Ending
 from vibrojax.branches.plan import Plan
 from vibrojax.branches.points import CURVES, BranchPoints, ExactCurve, SpecialPoint
@@ -69,12 +68,7 @@ def branch_of(
         natural_frequency=float(natural[0]) if begun else np.nan,
         labels=plan.labels[lane],
         range=(plan.low, plan.high),
-        attributes={
-            "title": "vibrojax continuation",
-            "rig": plan.description,
-            "vibrojax_version": version("vibrojax"),
-            "jax_version": version("jax"),
-        }
+        attributes=provenance("continuation", plan.description)
         | ({} if plan.exact else {"samples": str(plan.samples)}),
         path=path,
         depth=depth,

@@ -9,23 +9,13 @@ from jaxtyping import Bool, Complex, Float
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import OnCurve, Touch
 from vibrojax.results.derived import AbstractRatios
-from vibrojax.results.variables import axis_description, axis_unit, described_as
+from vibrojax.results.variables import RESPONSE, axis_description, axis_unit, described_as
 from vibrojax.steady.paths import AbstractPath
 
 if TYPE_CHECKING:
     import xarray
 
-CURVES = (
-    "amplitude_ratio",
-    "peak_ratio",
-    "rms_ratio",
-    "first_harmonic_ratio",
-    "contact_force",
-    "contact_fraction",
-    "contacts_per_period",
-    "leading_multiplier",
-    "residual",
-)
+CURVES = (*RESPONSE, "leading_multiplier", "residual")
 SPECIAL = ("folds", "period_doublings", "neimark_sackers", "grazings", "contact_changes")
 TURNS = ("fold", "touch_fold")
 """Kinds of special points at which a branch turns round."""

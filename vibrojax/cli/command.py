@@ -4,6 +4,7 @@ import atexit
 import gc
 import sys
 from collections.abc import Sequence
+from pkgutil import resolve_name
 
 from vibrojax.cli.options import Cache, Fit, Map, Modes, Simulate, Sweep, parsed
 
@@ -30,7 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"vibrojax {version('vibrojax')}")
         return 0
     try:
-        return _run(parsed(argv))
+        options = parsed(argv)
+        return resolve_name(RUN_BY[type(options)])(options)
     except (ValueError, ImportError) as error:  # such as a format of which the library is missing
         print(f"vibrojax: {error}", file=sys.stderr)
         return 2
@@ -43,31 +45,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _run(options: Sweep | Simulate | Map | Modes | Fit | Cache) -> int:
-    """Do what was asked; only what it needs is imported."""
-    if isinstance(options, Sweep):
-        from vibrojax.cli.sweep import run_sweep
-
-        return run_sweep(options)
-    if isinstance(options, Simulate):
-        from vibrojax.cli.simulate import run_simulate
-
-        return run_simulate(options)
-    if isinstance(options, Map):
-        from vibrojax.cli.map import run_map
-
-        return run_map(options)
-    if isinstance(options, Modes):
-        from vibrojax.cli.sweep import run_modes
-
-        return run_modes(options)
-    if isinstance(options, Cache):
-        from vibrojax.cli.cache import run_cache
-
-        return run_cache(options)
-    from vibrojax.cli.fit import run_fit
-
-    return run_fit(options)
+RUN_BY = {
+    Sweep: "vibrojax.cli.sweep:run_sweep",
+    Simulate: "vibrojax.cli.simulate:run_simulate",
+    Map: "vibrojax.cli.map:run_map",
+    Modes: "vibrojax.cli.sweep:run_modes",
+    Fit: "vibrojax.cli.fit:run_fit",
+    Cache: "vibrojax.cli.cache:run_cache",
+}
+"""What does what was asked, by its options; only what is needed is imported."""
 
 
 if __name__ == "__main__":

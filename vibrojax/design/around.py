@@ -18,6 +18,7 @@ from jaxtyping import Array, Complex, Float, Int
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
 from vibrojax.ensemble.slopes import WithSlopes, with_slopes
+from vibrojax.results.variables import DIFFERENTIATED
 from vibrojax.steady.contact_times import Events, Orbit, Tables, follow_events, tables_of
 from vibrojax.steady.exact_means import contact_fraction, mean_force, mean_square_and_harmonic
 from vibrojax.steady.orbit_reading import look, read_motion, segment_of
@@ -27,17 +28,7 @@ from vibrojax.stepping.phase_motion import stop_push
 
 lax = jax.lax
 
-MEASURED = (
-    "parameter",
-    "amplitude_ratio",
-    "peak_ratio",
-    "rms_ratio",
-    "first_harmonic_ratio",
-    "contact_force",
-    "contact_fraction",
-    "impulse",
-    "clearance",
-)
+MEASURED = ("parameter", *DIFFERENTIATED, "impulse", "clearance")
 """What is measured of a motion. The last one says how far a stop is from a change of contact, m."""
 MEANS = "parameter", "rms_ratio", "first_harmonic_ratio", "contact_fraction", "impulse"
 """What of that needs no search for extremes."""

@@ -15,6 +15,9 @@ DIRECTIONS: dict[str, tuple[str, ...]] = {
 }
 
 
+SORTED = "Sort it; a study that goes downwards too takes the same values backwards itself."
+
+
 def frequency_axis(
     ratio: ArrayLike | Sequence[float] | None, frequency: ArrayLike | Sequence[float] | None
 ) -> tuple[str, np.ndarray]:
@@ -25,16 +28,16 @@ def frequency_axis(
     if (ratio is None) == (frequency is None):
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
     if ratio is not None:
-        return "frequency_ratio", check_frequencies("frequency_ratio", ratio, "(ratio)")
-    return "frequency", check_frequencies("frequency", frequency, "Hz")
+        return "frequency_ratio", check_frequencies("frequency_ratio", ratio, "(ratio)", SORTED)
+    return "frequency", check_frequencies("frequency", frequency, "Hz", SORTED)
 
 
-def check_drive(system: AbstractSystem) -> None:
-    """Refuse, with a `ValueError`, a system that nothing drives."""
+def check_drive(system: AbstractSystem, needing: str = "This study needs") -> None:
+    """Refuse, with a `ValueError` that begins with who needs one, a system that nothing drives."""
     reference, unit = system.drive.reference
     size = concrete(reference)
     if unit == "m" or (size is not None and not (size > 0).all()):
         raise ValueError(
-            "A frequency sweep needs a drive with an amplitude above 0, got "
-            f"{system.drive!r}. Give the system drive=BaseMotion(...) or PointForce(...)."
+            f"{needing} a drive with an amplitude above 0, got {system.drive!r}. "
+            "Give the system drive=BaseMotion(...) or PointForce(...)."
         )

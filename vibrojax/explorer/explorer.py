@@ -4,7 +4,7 @@ import base64
 import os
 from typing import TYPE_CHECKING, Any
 
-from vibrojax._tools.checks import nearest
+from vibrojax._tools.checks import check_known
 from vibrojax._tools.files import path_of
 from vibrojax._tools.signatures import validated
 from vibrojax.branches.branch import Branch
@@ -84,8 +84,7 @@ class Explorer:
 
     def _numbers(self, numbers: dict[str, float]) -> dict[str, float]:
         for name in numbers:
-            if name not in self.sliders:
-                raise ValueError(f"Unknown number {name!r}. {nearest(name, self.sliders)}")
+            check_known("number", name, self.sliders)
         return self.values | {name: float(value) for name, value in numbers.items()}
 
     @validated

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
-from vibrojax._tools.checks import check_range, nearest
+from vibrojax._tools.checks import check_known, check_range
 from vibrojax._tools.signatures import validated
 from vibrojax.history.between_samples import engine_of
 from vibrojax.history.corners import cut_at_corners
@@ -97,8 +97,7 @@ class Contacts:
         """
         columns = columns or ("peak_force", "approach_speed")
         for name in columns:
-            if name not in COLUMNS:
-                raise ValueError(f"Unknown column {name!r}. {nearest(str(name), COLUMNS)}")
+            check_known("column", name, COLUMNS)
         if not len(self):
             raise ValueError("There are no contacts to draw.")
         from vibrojax.plot.history import plot_contacts

@@ -13,7 +13,7 @@ from vibrojax._tools.signatures import validated
 from vibrojax.history.cycles import Cycles, cycles_of_each
 from vibrojax.history.history import History
 from vibrojax.history.quantities import check_quantity, unit_and_label
-from vibrojax.results.axes import axis_scale, coordinates_of, example, pick
+from vibrojax.results.axes import axis_scale, coordinates_of, place_of
 from vibrojax.results.variables import described_as, with_unit
 
 if TYPE_CHECKING:
@@ -57,10 +57,7 @@ class Histories(eqx.Module):
 
         `values` are numbers by name of the axes.
         """
-        place, missing = pick(self.axes, values)
-        if missing:
-            such = example(self.axes, missing[0])
-            raise ValueError(f"Give a value of {missing[0]} too, such as {such}.")
+        place = place_of(self.axes, values)
         return self[int(np.ravel_multi_index(place, self.shape)) if place else 0]
 
     @validated

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax._tools.checks import check_choice, check_range, nearest
+from vibrojax._tools.checks import check_choice, check_known, check_range
 from vibrojax._tools.signatures import validated
 from vibrojax.history.crossings import crossings, curve_through
 from vibrojax.history.quantities import (
@@ -80,8 +80,7 @@ class PoincareSection:
         x = (self.quantity if self.level is None else "drive_phase") if x is None else x
         y = rate_name(self.quantity) if y is None else y
         for name in (x, y):
-            if name not in self._columns:
-                raise ValueError(f"Unknown variable {name!r}. {nearest(name, self._columns)}")
+            check_known("variable", name, self._columns)
         from vibrojax.plot.history import plot_section
 
         return plot_section(self.to_xarray(), x, y)

@@ -64,14 +64,9 @@ def _internal_names(equations: AbstractEquations) -> tuple[str, ...]:
     return () if linear is None or linear.internal is None else linear.internal.names
 
 
-def quantities_of(equations: AbstractEquations) -> tuple[str, ...]:
-    """Return the names of all quantities of a history of these equations."""
-    return (*QUANTITIES, *observables_of(equations), STRAIN_POWER)
-
-
 def check_quantity(equations: AbstractEquations, quantity: Any) -> None:
     """Raise `ValueError` for a quantity that histories of these equations do not have."""
-    known = quantities_of(equations)
+    known = (*QUANTITIES, *observables_of(equations), STRAIN_POWER)
     if quantity not in known:
         listed = ", ".join(map(repr, known))
         raise ValueError(

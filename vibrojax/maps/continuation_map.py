@@ -77,26 +77,22 @@ class ContinuationMap(AbstractMapResponse):
         stacked = jax.tree.map(lambda *a: np.stack(a), *curves)
         found = np.isfinite(stacked["amplitude_ratio"])
         done = np.array([b.completed for b in branches])
-        fold = np.stack([_places(b.folds) for b in branches])
-        states_there, free = map(np.stack, zip(*map(_folds, branches), strict=True))
+        folds = jax.tree.map(lambda *a: np.stack(a), *map(_folds, branches))
+        first, further = (
+            Folds(*(a[:, part] for a in folds)) for part in (slice(PLACES), slice(PLACES, None))
+        )
         return Computed(
             curves=stacked,
             numbers={
-                "fold": fold,
+                "fold": first.bracket[..., 0],
+                "further_folds": further.bracket[..., 0],
                 "grazing": np.stack([_places(b.grazings) for b in branches]),
                 "natural_frequency": np.array([b.natural_frequency for b in branches]),
             },
             points=Points(np.stack(states), np.where(found, self.settings.period, 0)),
             lane_status=np.where(done, 0, 1),
             lane_steps=np.array([b.ticks for b in branches], np.int64),
-            folds={
-                "fold": Folds(
-                    bracket=np.stack([fold, fold], axis=-1),
-                    states=states_there,
-                    free=free,
-                    period=np.full(free.shape, self.settings.period),
-                )
-            },
+            folds={"fold": first, "further_folds": further},
         )
 
     def _resampled(self, branch: BranchPoints, values: np.ndarray) -> tuple[dict, np.ndarray]:
@@ -122,13 +118,22 @@ def _places(found: np.ndarray) -> np.ndarray:
     return places
 
 
-def _folds(branch: BranchPoints) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states at the folds that `_places` keeps, and whether they touch nothing."""
-    states = np.full((PLACES, branch.initial_state.shape[1]), np.nan)
-    free = np.zeros(PLACES, bool)
+def _folds(branch: BranchPoints) -> Folds:
+    """Return the first folds of a branch, then the lowest and the highest of all further ones."""
     folds = [point for point in branch.special_points if point.kind in TURNS]
-    for k, point in enumerate(folds[:PLACES]):
-        free[k] = point.contact_force == 0
+    further = sorted(folds[PLACES:], key=float)
+    kept = dict(enumerate(folds[:PLACES]))
+    if further:
+        kept |= {PLACES: further[0], PLACES + 1: further[-1]}
+    found = Folds(
+        bracket=np.full((PLACES + 2, 2), np.nan),
+        states=np.full((PLACES + 2, branch.initial_state.shape[1]), np.nan),
+        free=np.zeros(PLACES + 2, bool),
+        period=np.full(PLACES + 2, branch.period),
+    )
+    for k, point in kept.items():
+        found.bracket[k] = point.parameter
+        found.free[k] = point.contact_force == 0
         if point.initial_state is not None:
-            states[k] = point.initial_state
-    return states, free
+            found.states[k] = point.initial_state
+    return found

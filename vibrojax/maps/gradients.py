@@ -21,7 +21,7 @@ from vibrojax.ensemble.slopes import WithSlopes, systems_with_slopes, with_slope
 from vibrojax.maps.measures import STEPWISE, Curve, Measure
 from vibrojax.maps.responses import Computed, Folds, Grid
 from vibrojax.maps.rig_maker import RigMaker
-from vibrojax.maps.template import DIFFERENTIATED
+from vibrojax.results.variables import DIFFERENTIATED
 from vibrojax.steady.batches import in_batches, take_rigs
 from vibrojax.steady.fold_ahead import folds_within
 from vibrojax.steady.paths import frequency_path
@@ -184,7 +184,8 @@ def fold_slopes(rigs: Differentiated, grid: Grid, computed: Computed) -> Slopes:
     found: Slopes = {name: {} for name in rigs.names}
     for variable, folds in computed.folds.items():
         value = computed.numbers[variable]
-        there = np.isfinite(value) & np.isfinite(folds.states).all(axis=-1)
+        # Touches are found anew, without a state.
+        there = np.isfinite(value) & (folds.free | np.isfinite(folds.states).all(axis=-1))
         slope = np.full((*value.shape, len(rigs.names)), np.nan)
         for free, slopes_of in ((True, _of_touches), (False, _of_folds)):
             chosen = np.nonzero(there & (folds.free == free))

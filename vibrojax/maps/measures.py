@@ -49,7 +49,8 @@ def _peak_frequency(curve: Curve) -> Any:
 
 def _hysteresis_width(curve: Curve) -> Any:
     if "fold" in curve:
-        width = jnp.nanmax(curve["fold"]) - jnp.nanmin(curve["fold"])
+        folds = jnp.append(curve["fold"], curve["further_folds"])
+        width = jnp.nanmax(folds) - jnp.nanmin(folds)
     else:
         width = jnp.abs(curve["jump_down"] - curve["jump_up"])
     return jnp.where(jnp.isnan(width), 0.0, width)

@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax._tools.checks import nearest
+from vibrojax._tools.checks import check_known
 from vibrojax.ensemble.frequencies import DIRECTIONS
 from vibrojax.maps.responses import (
     MARCHED,
@@ -20,8 +20,9 @@ from vibrojax.maps.responses import (
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem, as_arrays
 from vibrojax.regime.poincare_map import PoincareMap
-from vibrojax.regime.regime_points import SWEPT, carried_points
+from vibrojax.regime.regime_points import carried_points
 from vibrojax.regime.settings import RegimeSettings
+from vibrojax.results.variables import RESPONSE
 from vibrojax.stepping.stepper import AbstractStepper
 
 VARIABLES = (
@@ -31,7 +32,7 @@ VARIABLES = (
     "return_error",
     "lyapunov_exponent",
     "lyapunov_standard_error",
-    *SWEPT,
+    *RESPONSE,
     "cross_well",
     "crossings_per_period",
     "displacement_rms",
@@ -70,8 +71,7 @@ class RegimeMap(AbstractMapResponse):
         equations = as_arrays(sample).equations()
         known = equations.observables(jnp.zeros(equations.size))
         for name in self.settings.observables:
-            if name not in known:
-                raise ValueError(f"Unknown observable {name!r}. {nearest(str(name), known)}")
+            check_known("observable", name, known)
 
     @property
     def layout(self) -> Layout:

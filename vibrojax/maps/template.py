@@ -8,7 +8,12 @@ import numpy as np
 from vibrojax.ensemble.arguments import Dimension
 from vibrojax.maps.measures import PLACED, PLACES, STEPWISE, Measure
 from vibrojax.maps.responses import WHOLE, AbstractMapResponse, Grid
-from vibrojax.results.variables import axis_description, axis_unit, described_statistic
+from vibrojax.results.variables import (
+    DIFFERENTIATED,
+    axis_description,
+    axis_unit,
+    described_statistic,
+)
 from vibrojax.steady.kinds import Regime
 
 FAILED, MISSING = 3, 4
@@ -107,17 +112,6 @@ def template_of(
     ends = _flags((*layout.lane_words, "failed", "missing"))
     add("lane_status", {}, described("lane_status") | ends, np.int8)
     return Template(coordinates, variables, tuple(d.name for d in dimensions))
-
-
-DIFFERENTIATED = (
-    "amplitude_ratio",
-    "peak_ratio",
-    "rms_ratio",
-    "first_harmonic_ratio",
-    "contact_force",
-    "contact_fraction",
-)
-"""Variables over the frequency that have derivatives."""
 
 
 def _flags(words: Sequence[str]) -> dict[str, Any]:

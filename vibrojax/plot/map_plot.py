@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from vibrojax._tools.checks import nearest
+from vibrojax._tools.checks import check_known
 from vibrojax.plot.map_axes import (
     FREQUENCIES,
     RESPONSES,
@@ -100,8 +100,7 @@ def _variable(dataset: xarray.Dataset, variable: str | None) -> str:
         floats = [n for n in known if dataset[n].dtype.kind == "f"]
         preferred = [*(n for n in DEFAULTS if n in known), *measures_of(dataset), *floats, *known]
         return preferred[0]
-    if variable not in known:
-        raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, known)}")
+    check_known("variable", variable, known)
     return variable
 
 

@@ -19,7 +19,7 @@ from vibrojax.history.history import History
 from vibrojax.history.simulate import simulate
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.regime.attractors import DESCRIBED
-from vibrojax.results.axes import coordinates_of, example, pick
+from vibrojax.results.axes import coordinates_of, place_of
 from vibrojax.results.saving import AbstractSaved
 from vibrojax.results.variables import described_as
 
@@ -233,15 +233,6 @@ class Basins(AbstractSaved):
         described = {n: (*values, described_as(n, ratio_units)) for n, values in data.items()}
         return xarray.Dataset(described, coordinates, attrs=dict(self.attributes))
 
-    def _place(self, selection: dict[str, Any]) -> tuple[int, ...]:
-        """Return the index along the other axes; raises `ValueError` for one without a value."""
-        index, left = pick(self.axes, selection)
-        for name in left:
-            if len(self.axes[name]) > 1:
-                about = example(self.axes, name)
-                raise ValueError(f"Give a value of {name} too, such as {about}.")
-        return tuple(0 if isinstance(at, slice) else at for at in index)
-
     def _system_at(self, index: tuple[int, ...]) -> tuple[AbstractSystem, float]:
         """Return what moves at a place along the axes, and its drive frequency."""
         over = [len(axis) for name, axis in self.axes.items() if name != self.frequency_axis]
@@ -269,7 +260,7 @@ class Basins(AbstractSaved):
         Raises `ValueError` for an attractor that is not there, an unknown axis, or one without a
         value.
         """
-        index = self._place(selection)
+        index = place_of(self.axes, selection)
         period = self.period[index]
         check_index("attractor", attractor, int(np.sum(period >= 0)), first=1)
         system, value = self._system_at(index)
@@ -298,7 +289,7 @@ class Basins(AbstractSaved):
 
         Raises `ValueError` for an unknown axis, or one without a value.
         """
-        index = self._place(selection)
+        index = place_of(self.axes, selection)
         system, value = self._system_at(index)
         along: dict[str, Any] = {self.frequency_axis: over}
         found: list[Branch] = []
@@ -319,7 +310,7 @@ class Basins(AbstractSaved):
         `selection` picks one value (nearest) of each other axis; dots mark the drive phase 0.
         Raises `ValueError` for an unknown axis, one without a value, or without an attractor.
         """
-        index = self._place(selection)
+        index = place_of(self.axes, selection)
         count = int(np.sum(self.period[index] >= 0))
         if not count:
             raise ValueError("No start reached an attractor: there is nothing to draw.")
@@ -339,7 +330,7 @@ class Basins(AbstractSaved):
         """
         if not self.starts:
             raise ValueError("The starts are states, not two numbers: use plot_orbits().")
-        lane, names = self._drawn(self._place(selection), self.period.shape[-1])
+        lane, names = self._drawn(place_of(self.axes, selection), self.period.shape[-1])
         from vibrojax.plot.regime import plot_basins
 
         return plot_basins(lane, list(self.starts), names)

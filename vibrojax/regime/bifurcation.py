@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
-from vibrojax._tools.checks import nearest
+from vibrojax._tools.checks import check_increasing, nearest
 from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.arguments import Zipped
 from vibrojax.ensemble.frequencies import DIRECTIONS
@@ -126,12 +126,7 @@ def _lanes_along(lanes: Lanes, axis: str, grid: np.ndarray, along: str | None) -
             f"along must name one list of numbers, got {along!r}: a motion is not carried along "
             "numbers that go together, or texts. Let the function compute the others from one."
         )
-    if (np.diff(values) <= 0).any():
-        at = int(np.flatnonzero(np.diff(values) <= 0)[0])
-        raise ValueError(
-            f"{along} must increase strictly, got {values[at]} then {values[at + 1]} at index "
-            f"{at + 1}. Sort it; the other direction is made for you."
-        )
+    check_increasing(along, values, "Sort it; the other direction is made for you.")
     others = {name: v for name, v in lists.items() if name != along}
     rig = np.arange(int(np.prod(lanes.shape))).reshape(*lanes.shape, 1)
     frequency = np.asarray(grid, float)

@@ -1,34 +1,23 @@
 """Studies of regimes made ready, and the regimes of lanes, alone or carried along an axis."""
 
-from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax._tools.described import recipe
+from vibrojax._tools.described import provenance, recipe
 from vibrojax.ensemble.frequencies import frequency_axis
 from vibrojax.ensemble.lanes import Lanes, lanes_of
 from vibrojax.regime.observing import sample_motions
 from vibrojax.regime.poincare_map import Numbers, PoincareMap, Report
 from vibrojax.regime.settings import BasinSettings, RegimeSettings
 from vibrojax.results.status import Status
+from vibrojax.results.variables import RESPONSE
 from vibrojax.steady.kinds import Regime, regime_of
 from vibrojax.stepping.prepared_rigs import rigs_of
 from vibrojax.stepping.resonance import is_unbounded
 from vibrojax.stepping.stepper import AbstractStepper
-
-SWEPT = (
-    "amplitude_ratio",
-    "peak_ratio",
-    "rms_ratio",
-    "first_harmonic_ratio",
-    "contact_force",
-    "contact_fraction",
-    "contacts_per_period",
-)
-"""What is measured as in a frequency sweep."""
 
 
 class Ready(NamedTuple):
@@ -60,14 +49,8 @@ def made_ready(
     axis, grid = frequency_axis(frequency_ratio, frequency)
     lanes = lanes_of(system, numbers, zipped)
     stepper = settings.stepper_of(lanes.sample, axis)
-    attributes = {
-        "title": f"vibrojax {title}",
-        "rig": lanes.description,
-        "stepper": recipe(stepper),
-        "settings": recipe(settings),
-        "vibrojax_version": version("vibrojax"),
-        "jax_version": version("jax"),
-    }
+    attributes = provenance(title, lanes.description)
+    attributes |= {"stepper": recipe(stepper), "settings": recipe(settings)}
     return Ready(axis, grid, lanes, stepper, attributes)
 
 
@@ -125,7 +108,7 @@ def regime_points(
         "return_error": away,
         "lyapunov_exponent": exponent,
         "lyapunov_standard_error": error,
-        **{name: measured[name] for name in SWEPT},
+        **{name: measured[name] for name in RESPONSE},
         **sampled,
     }
     return found, np.where(alive[:, None], end, 0.0)

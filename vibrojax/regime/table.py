@@ -7,9 +7,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax._tools.checks import nearest
+from vibrojax._tools.checks import check_known
 from vibrojax._tools.signatures import validated
-from vibrojax.results.axes import coordinates_of, example, lane_of, pick, view_of
+from vibrojax.results.axes import coordinates_of, lane_of, pick, place_of, view_of
 from vibrojax.results.saving import AbstractSaved
 from vibrojax.results.status import Status
 from vibrojax.results.variables import described_as, described_statistic
@@ -71,8 +71,7 @@ class AbstractRegimeTable(AbstractSaved):
         return found
 
     def __getitem__(self, name: str) -> Array:
-        if name not in self.variables:
-            raise ValueError(f"Unknown variable {name!r}. {nearest(name, self.variables)}")
+        check_known("variable", name, self.variables)
         return self.variables[name]
 
     @property
@@ -140,8 +139,7 @@ class Regimes(AbstractRegimeTable):
         Raises `ValueError` for an unknown kind.
         """
         known = [r.name for r in Regime]
-        if kind not in known:
-            raise ValueError(f"Unknown kind {kind!r}. {nearest(str(kind), known)}")
+        check_known("kind", kind, known)
         return float(np.mean(self.regime == Regime[kind].value))
 
     def plot(self, **selection: Any) -> "Figure":
@@ -247,10 +245,7 @@ class BifurcationDiagram(AbstractRegimeTable):
         `selection` picks one value (nearest) of every other axis. Raises `ValueError` for an
         unknown axis, or where one is left.
         """
-        index, left = pick(self.axes, selection)
-        if left:
-            example_of = example(self.axes, left[0])
-            raise ValueError(f"Give a value of {' and '.join(left)}, such as {example_of}.")
+        index = place_of(self.axes, selection)
         values, found = np.asarray(self.values), []
         for direction, period in zip(self.directions, self.period[index], strict=True):
             for k in np.flatnonzero(np.diff(period)):

@@ -121,7 +121,12 @@ def view_of(
 def lane_of(
     dataset: "xarray.Dataset", axes: Mapping[str, Array], selection: Mapping[str, Any]
 ) -> "xarray.Dataset":
-    """Return a dataset at one value of every axis; of an axis with one value, it is that.
+    """Return a dataset at one value of every axis. Raises `ValueError` as `place_of` does."""
+    return dataset.isel(dict(zip(axes, place_of(axes, selection), strict=True)))
+
+
+def place_of(axes: Mapping[str, Array], selection: Mapping[str, Any]) -> tuple[int, ...]:
+    """Return the index of one value of every axis; of an axis with one value, it is that.
 
     Raises `ValueError` as `pick` does, or for an axis without a value.
     """
@@ -129,8 +134,7 @@ def lane_of(
     if left := [name for name in left if len(axes[name]) > 1]:
         given = example(axes, left[0])
         raise ValueError(f"Give a value of {' and '.join(left)} too, such as {given}.")
-    lane = (0 if isinstance(at, slice) else at for at in index)
-    return dataset.isel(dict(zip(axes, lane, strict=True)))
+    return tuple(0 if isinstance(at, slice) else at for at in index)
 
 
 def nearest_place(name: str, values: Array, wanted: Any) -> int:

@@ -118,6 +118,18 @@ VARIABLES = {
     "frequency_ratio": Variable("1", "Drive frequency over first natural frequency"),
 }
 
+DIFFERENTIATED = (
+    "amplitude_ratio",
+    "peak_ratio",
+    "rms_ratio",
+    "first_harmonic_ratio",
+    "contact_force",
+    "contact_fraction",
+)
+"""What is measured of every response and has derivatives."""
+RESPONSE = (*DIFFERENTIATED, "contacts_per_period")
+"""What is measured of every response: swept, followed or solved for."""
+
 
 def described_as(name: str, ratio_units: str = "1", axis_units: str = "axis") -> dict[str, str]:
     """Return unit and long name of a variable as the attributes that xarray shows."""

@@ -12,7 +12,7 @@ from vibrojax._tools.signatures import validated
 from vibrojax.model.systems import AbstractSystem, equation_kinds
 from vibrojax.results.derived import AbstractRatios
 from vibrojax.results.status import Status
-from vibrojax.results.variables import described_as
+from vibrojax.results.variables import RESPONSE, described_as
 from vibrojax.stepping.resonance import is_unbounded, unbounded_at
 
 if TYPE_CHECKING:
@@ -21,19 +21,7 @@ if TYPE_CHECKING:
 
     from vibrojax.history.history import History
 
-NUMBERS = (
-    "amplitude_ratio",
-    "peak_ratio",
-    "rms_ratio",
-    "first_harmonic_ratio",
-    "contact_force",
-    "contact_fraction",
-    "contacts_per_period",
-    "leading_multiplier",
-    "residual",
-    "frequency",
-)
-
+NUMBERS = (*RESPONSE, "leading_multiplier", "residual", "frequency")
 
 ELSEWHERE = 0.3
 """Farthest that a motion may lie from its guess, over its size, without a word."""

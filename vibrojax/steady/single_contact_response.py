@@ -1,7 +1,6 @@
 """The response with one contact per drive period on a grid of contact time and frequency."""
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -10,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from vibrojax._tools.checks import check_range, concrete
+from vibrojax._tools.checks import check_increasing, check_range
 from vibrojax._tools.compiled import compiled
-from vibrojax._tools.described import recipe
+from vibrojax._tools.described import provenance, recipe
 from vibrojax._tools.signatures import validated
-from vibrojax.ensemble.frequencies import frequency_axis
+from vibrojax.ensemble.frequencies import check_drive, frequency_axis
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.systems import AbstractSystem, as_arrays, equations_of
 from vibrojax.results.saving import AbstractSaved
@@ -230,12 +229,7 @@ def single_contact_response(
     axis, grid = frequency_axis(frequency_ratio, frequency)
     fractions = _fractions(contact_fraction)
     reference, ratio_units = system.drive.reference
-    size = concrete(reference)
-    if ratio_units == "m" or (size is not None and not size > 0):
-        raise ValueError(
-            "Single-contact motions need a drive with an amplitude above 0, got "
-            f"{system.drive!r}. Give the system drive=BaseMotion(...) or PointForce(...)."
-        )
+    check_drive(system, "Single-contact motions need")
     equations = check_single_stop(equations_of(as_arrays(system)))
     phases, drive = _unit_phases(equations), as_arrays(system.drive)
     first = equations.angular_frequency[0]
@@ -264,12 +258,7 @@ def single_contact_response(
         valid=np.asarray(points.valid),
         touch_gap_ratio=np.asarray(touch),
         contact_free_amplitude_ratio=np.asarray(free),
-        attributes={
-            "title": "vibrojax single-contact response",
-            "rig": recipe(system),
-            "vibrojax_version": version("vibrojax"),
-            "jax_version": version("jax"),
-        },
+        attributes=provenance("single-contact response", recipe(system)),
     )
 
 
@@ -291,10 +280,5 @@ def _fractions(values: ArrayLike | Sequence[float] | None) -> np.ndarray:
         allowed="above 0 and below 1",
         advice="It is the share of the drive period in contact.",
     )
-    if (np.diff(fractions) <= 0).any():
-        bad = int(np.flatnonzero(np.diff(fractions) <= 0)[0])
-        raise ValueError(
-            f"contact_fraction must increase strictly, got {fractions[bad]} then "
-            f"{fractions[bad + 1]} at index {bad + 1}."
-        )
+    check_increasing("contact_fraction", fractions)
     return fractions

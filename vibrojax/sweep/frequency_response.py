@@ -6,32 +6,20 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax._tools.checks import nearest
+from vibrojax._tools.checks import check_known
 from vibrojax._tools.signatures import validated
 from vibrojax.results.axes import coordinates_of, view_of
 from vibrojax.results.derived import AbstractRatios
 from vibrojax.results.saving import AbstractSaved
 from vibrojax.results.status import Status
-from vibrojax.results.variables import VARIABLES, described_as
+from vibrojax.results.variables import RESPONSE, VARIABLES, described_as
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
 Array = np.ndarray
-CURVES = (
-    "amplitude_ratio",
-    "peak_ratio",
-    "rms_ratio",
-    "first_harmonic_ratio",
-    "contact_force",
-    "contact_fraction",
-    "contacts_per_period",
-    "period",
-    "status",
-    "periods_marched",
-    "steps",
-)
+CURVES = (*RESPONSE, "period", "status", "periods_marched", "steps")
 MEASURES = (
     "jump_up",
     "jump_down",
@@ -182,8 +170,7 @@ class FrequencyResponse(AbstractSaved, AbstractRatios):
         `selection` picks one value (nearest) of each other axis, which is drawn as lines where it
         is left out. Raises `ValueError` for an unknown variable or axis.
         """
-        if variable not in self.curves:
-            raise ValueError(f"Unknown variable {variable!r}. {nearest(variable, self.curves)}")
+        check_known("variable", variable, self.curves)
         directions = self.directions
         if (wanted := selection.pop("direction", None)) is not None:
             if wanted not in directions:

@@ -1,13 +1,12 @@
 """Forward and backward frequency sweeps, the state carried from frequency to frequency."""
 
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike
 
-from vibrojax._tools.described import recipe
+from vibrojax._tools.described import provenance, recipe
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
 from vibrojax.ensemble.arguments import Zipped
@@ -77,12 +76,7 @@ def _result(lanes: Lanes, plan: SweepPlan, swept: Swept) -> FrequencyResponse:
         directions=plan.directions,
         axes=lanes.axes,
         ratio_units=ratio_units,
-        attributes={
-            "title": "vibrojax frequency sweep",
-            "rig": lanes.description,
-            "stepper": recipe(plan.stepper),
-            "vibrojax_version": version("vibrojax"),
-            "jax_version": version("jax"),
-        },
+        attributes=provenance("frequency sweep", lanes.description)
+        | {"stepper": recipe(plan.stepper)},
         **{name: over_axes(values) for name, values in numbers.items()},
     )

@@ -60,7 +60,7 @@ class SweepSettings(AbstractSettings):
         `axis` names them. Raises `ValueError` for a system without a drive, or a stepper that
         cannot take it.
         """
-        check_drive(sample)
+        check_drive(sample, "A frequency sweep needs")
         return SweepPlan(
             axis=axis,
             grid=grid,
