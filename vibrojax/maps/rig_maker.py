@@ -19,7 +19,8 @@ from vibrojax.ensemble.lanes import made_by, stacked
 from vibrojax.maps.chunks import Block
 from vibrojax.maps.fingerprints import value_digest
 from vibrojax.model.systems import AbstractSystem, as_arrays
-from vibrojax.stepping.prepared_rigs import Rigs, rigs_of
+from vibrojax.stepping.prepared_rigs import Prepared, Rigs, prepare, prepared_kinds, rigs_of
+from vibrojax.stepping.stepper import AbstractStepper
 
 TOGETHER = 4096
 """Lanes whose systems are made together for their fingerprints."""
@@ -141,6 +142,20 @@ class RigMaker:
         if not self.traced:
             return rigs_of(self._sampled(index))
         return _made(self.make, *self._split(index), True)
+
+    def prepared(
+        self,
+        index: tuple[np.ndarray, ...],
+        stepper: AbstractStepper,
+        meanwhile: Callable[[Prepared], object],
+    ) -> Prepared:
+        """Return the rigs of a block ready to be marched.
+
+        `meanwhile` is called with their shapes and types while they are computed.
+        """
+        rigs = self.rigs(index)
+        meanwhile(prepared_kinds(stepper, rigs))
+        return prepare(stepper, rigs)
 
     def lane_numbers(
         self, index: tuple[np.ndarray, ...], names: tuple[str, ...] = ()

@@ -20,7 +20,6 @@ from vibrojax.maps.responses import (
 from vibrojax.maps.rig_maker import RigMaker
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.results.status import Status
-from vibrojax.stepping.prepared_rigs import prepare, prepared_kinds
 from vibrojax.stepping.stepper import AbstractStepper
 from vibrojax.sweep.frequency_response import CURVES
 from vibrojax.sweep.plan import Swept
@@ -68,9 +67,8 @@ class SweepMap(AbstractMapResponse):
         """Sweep the rigs of a block."""
         sample = maker.first_of(index)
         plan = self.settings.plan(sample, grid.axis, grid.values)
-        rigs = maker.rigs(index)
-        compile_ahead(plan, prepared_kinds(plan.stepper, rigs))
-        swept = sweep_rigs(plan, prepare(plan.stepper, rigs))
+        prepared = maker.prepared(index, plan.stepper, lambda kinds: compile_ahead(plan, kinds))
+        swept = sweep_rigs(plan, prepared)
         jumps = numbers_of_jumps(swept)
         curves = swept.curves
         settled = curves["status"] == Status.settled.value
