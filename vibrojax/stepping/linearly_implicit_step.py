@@ -16,6 +16,7 @@ from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.laws import linear_coefficients
 from vibrojax.model.stop_forces import stop_forces
 from vibrojax.model.stops import Stop
+from vibrojax.stepping.elementary import solve_small
 from vibrojax.stepping.splitting import drift
 
 CONTACT_PASSES = 4
@@ -194,17 +195,5 @@ def contact_impulses(
     for _ in range(passes):
         depth = after - reach @ impulse
         value, slope = jax.jvp(law, (depth,), (jnp.ones_like(depth),))
-        impulse = impulse + _solve_small(slope[:, None] * reach, value - impulse)
+        impulse = impulse + solve_small(slope[:, None] * reach, value - impulse)
     return impulse
-
-
-def _solve_small(matrix, right):
-    """Solve (1 + matrix) x = right; up to two in closed form, as a library call costs a step."""
-    if right.shape[0] == 1:
-        return right / (1 + matrix[0])
-    if right.shape[0] == 2:
-        (a, b), (c, d) = matrix
-        a, d = 1 + a, 1 + d
-        crossed = jnp.stack([d * right[0] - b * right[1], a * right[1] - c * right[0]])
-        return crossed / (a * d - b * c)
-    return jnp.linalg.solve(jnp.eye(right.shape[0]) + matrix, right)

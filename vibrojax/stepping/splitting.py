@@ -31,7 +31,7 @@ from vibrojax.model.stops import Stop
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_phases import spread
 from vibrojax.stepping.cubic import cubic_maximum
-from vibrojax.stepping.elementary import computed_once, where_needed
+from vibrojax.stepping.elementary import computed_once, solve_small, where_needed
 from vibrojax.stepping.measures import Measures, Segment, no_measures
 from vibrojax.stepping.resonance import driven_growth, is_resonant
 from vibrojax.stepping.straight_input import straight_states
@@ -220,13 +220,20 @@ def _middle_memory(stops, depth, rate, memory, step):
     """Memories half a step on, the depths held: one Newton step of the implicit midpoint rule."""
     if not memory.shape[0]:
         return memory
-    speed, slope = jax.jvp(
-        lambda m: memory_rates(stops, depth, rate, m), (memory,), (jnp.ones_like(memory),)
-    )
-    middle = memory + step / 2 * speed / (1 - step / 2 * slope)
-    idle = np.arange(len(memory)) >= sum(stop.memory_size for stop in stops)
-    # What idles is gone after a step.
-    return jnp.where(idle.reshape((-1,) + (1,) * (memory.ndim - 1)), memory / 2, middle)
+    middle, at = [], 0
+    for i, stop in enumerate(stops):
+        size = stop.memory_size
+        if not size:
+            continue
+        here = slice(i, i + 1)
+        rates = partial(memory_rates, (stop,), depth[here], rate[here])
+        held = memory[at : at + size]
+        speed, change = jax.linearize(rates, held)
+        units = jnp.eye(size, dtype=held.dtype).reshape(size, size, *(1,) * (held.ndim - 1))
+        slope = jnp.stack([change(jnp.broadcast_to(u, held.shape)) for u in units], axis=1)
+        middle.append(held + solve_small(-step / 2 * slope, step / 2 * speed))
+        at += size
+    return jnp.concatenate([*middle, memory[at:] / 2])  # what idles is gone after a step
 
 
 def contact_rate(equations: LinearEquations) -> Lanes:
