@@ -171,11 +171,6 @@ def _march(beta: Scalar, taper: Scalar, masses: Knots, knots: Knots) -> _March:
     return _March(series, bases, triangles, jnp.stack([tip[2], shear]))
 
 
-def _frequency_equation(beta, args) -> Scalar:
-    end = _march(beta, *args).end
-    return end[0, 0] * end[1, 1] - end[0, 1] * end[1, 0]
-
-
 @lru_cache(maxsize=64)
 def _ritz_basis(size: int) -> tuple[np.ndarray, ...]:
     """Polynomials whose second derivative is 1/sqrt(weight) at one Gauss point, 0 at the others.
@@ -254,7 +249,8 @@ def _roots(start: PerMode, taper: Scalar, masses: Knots, knots: Knots) -> PerMod
     newton = optx.Newton(rtol=tolerance, atol=tolerance)
 
     def equation(beta):
-        return _frequency_equation(beta, (taper, masses, knots))
+        end = _march(beta, taper, masses, knots).end
+        return end[0, 0] * end[1, 1] - end[0, 1] * end[1, 0]
 
     def solve(_, beta):
         found = optx.root_find(lambda b, _: equation(b), newton, beta, max_steps=16, throw=False)

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import (
-    check_choice,
     check_not_negative,
     check_positive,
     check_range,
@@ -203,7 +202,6 @@ class KelvinVoigt(AbstractLinearLaw):
         """Refuse concrete values that are not a stop."""
         check_not_negative("stiffness", self.stiffness, "N/m")
         check_not_negative("damping", self.damping, "N s/m")
-        check_choice("tension", self.tension, (True, False))
 
     @classmethod
     @validated(traceable=True)
@@ -227,7 +225,6 @@ class KelvinVoigt(AbstractLinearLaw):
         check_restitution(restitution)
         check_positive("stiffness", stiffness, "N/m")
         check_positive("mass", mass, "kg")
-        check_choice("tension", tension, (True, False))
         ratio = damping_ratio_of(restitution, tension)
         return cls(stiffness, 2 * ratio * jnp.sqrt(jnp.asarray(stiffness) * mass), tension)
 

@@ -19,7 +19,6 @@ from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.trigonometry import cosine_and_sine
-from vibrojax.model.drives import AbstractSignal
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.stop_forces import (
     contact_slope,
@@ -28,13 +27,11 @@ from vibrojax.model.stop_forces import (
     touching_stops,
 )
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_phases import spread
 from vibrojax.stepping.cubic import cubic_maximum
 from vibrojax.stepping.elementary import computed_once, solve_small, where_needed
 from vibrojax.stepping.measures import Measures, Segment, no_measures
 from vibrojax.stepping.resonance import driven_growth, is_resonant
-from vibrojax.stepping.straight_input import straight_states
 
 Modes = Float[Array, "modes *#lanes"]
 Lanes = Float[Array, "*#lanes"]
@@ -257,48 +254,6 @@ def steps_for(
 
 steps_of = compiled(steps_for)
 """The same, as a program of its own."""
-
-
-def step_from(
-    motion: Motion, state: Float[Array, " states"], start: Scalar, duration: Scalar
-) -> Float[Array, " states"]:
-    """Take one step of one lane from a time (s), for any waveform.
-
-    Harmonic drives and straight signals are exact; of a chirp the step takes the frequency and
-    amplitude of its middle.
-    """
-    equations = motion.equations.linear_between_contacts
-    if equations is None:
-        raise ValueError("ExponentialSplitting needs a system that is linear but for its stops.")
-    if isinstance(motion.waveform, AbstractSignal):
-        check_uncoupled(equations)
-        begun, halfway, end = straight_states(equations, motion, start, duration, (0.0, 0.5, 1.0))
-        free = drift(equations.angular_frequency, equations.damping_ratio, duration / 2)
-        first = second = free
-    else:
-        phase, _, _ = motion.waveform.phase(start)
-        phase_end, _, _ = motion.waveform.phase(start + duration)
-        phase_middle, rate, second_rate = motion.waveform.phase(start + duration / 2)
-        amplitude = motion.drive.complex_amplitude(rate, second_rate)
-        frequency = (phase_end - phase) / duration
-        forced, driven = steady(equations, amplitude, frequency)
-        begun, halfway, end = (
-            forced.real * jnp.sin(angle) + forced.imag * jnp.cos(angle)
-            for angle in (phase, phase_middle, phase_end)
-        )
-        half = driven_flow(equations, driven, frequency, duration / 2)
-        first, second = (partial(half, angle=angle) for angle in (phase, phase_middle))
-    q, v, memory = equations.split(state - begun)
-    q, v = first(q, v)
-    if equations.stops:
-        contact = contact_of(equations, 0)
-        forced_q, forced_v, _ = equations.split(halfway)
-        depth = contact.towards @ (q + forced_q) - contact.gap
-        rate = contact.towards @ (v + forced_v)
-        impulse, memory = kick(contact, depth, rate, memory, duration)
-        v = v - contact.push @ impulse
-    q, v = second(q, v)
-    return jnp.concatenate([q, v, memory]) + end
 
 
 def march(
