@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.laws import linear_coefficients
-from vibrojax.model.stop_forces import stop_forces
+from vibrojax.model.stop_forces import forces_and_slopes, stop_forces
 from vibrojax.model.stops import Stop
 from vibrojax.stepping.elementary import solve_small
 from vibrojax.stepping.splitting import drift
@@ -136,13 +136,7 @@ def _impact(stops, held, speed, time, reach):
     A stop, linearised at the touch, is an oscillator on the mobility of its place, whose motion is
     known. Where it would let go, a backward Euler step is taken.
     """
-
-    def law(depth, speed):
-        return stop_forces(stops, depth, speed)
-
-    one, zero = jnp.ones_like(held), jnp.zeros_like(held)
-    force, stiffness = jax.jvp(law, (held, speed), (one, zero))
-    _, damping = jax.jvp(law, (held, speed), (zero, one))
+    force, stiffness, damping = forces_and_slopes(stops, held, speed)
     if all(linear_coefficients(stop.law) is not None for stop in stops):
         # At the corner itself the slopes are those beyond it.
         laws = zip(*(linear_coefficients(stop.law) for stop in stops), strict=True)

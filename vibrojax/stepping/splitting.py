@@ -22,8 +22,8 @@ from vibrojax._tools.trigonometry import cosine_and_sine
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.stop_forces import (
     contact_slope,
+    forces_and_slopes,
     memory_rates,
-    stop_forces,
     touching_stops,
 )
 from vibrojax.model.stops import Stop
@@ -174,20 +174,6 @@ def _apply(matrix, vector):
     return jnp.sum(matrix * vector[None], axis=1)
 
 
-def forces(
-    contact: Contact, depth: PerStop, rate: PerStop, memory: Memories
-) -> tuple[PerStop, ...]:
-    """Return the force of each stop, its slope in depth and its slope in rate."""
-
-    def all_stops(depth, rate):
-        return stop_forces(contact.stops, depth, rate, memory)
-
-    one, zero = jnp.ones_like(depth), jnp.zeros_like(depth)
-    force, stiffness = jax.jvp(all_stops, (depth, rate), (one, zero))
-    _, damping = jax.jvp(all_stops, (depth, rate), (zero, one))
-    return force, stiffness, damping
-
-
 def kick(
     contact: Contact, depth: PerStop, rate: PerStop, memory: Memories, step: Lanes
 ) -> tuple[PerStop, Memories]:
@@ -197,7 +183,7 @@ def kick(
     that relaxes linearly, that is a linear equation: stable for any damping or relaxation time.
     """
     middle_memory = _middle_memory(contact.stops, depth, rate, memory, step)
-    force, stiffness, damping = forces(contact, depth, rate, middle_memory)
+    force, stiffness, damping = forces_and_slopes(contact.stops, depth, rate, middle_memory)
     if len(contact.stops) == 1:
         middle = force / (1 + step / 2 * damping * contact.mobility[0])
     else:
@@ -325,8 +311,8 @@ def march(
             force, touches = jnp.zeros_like(y0), jnp.zeros(live.shape, bool)
             if contact.stops:
                 depth1, rate1 = depth_of(q1, v1, wave1)
-                f0, k0, _ = forces(contact, depth, rate, memory)
-                f1, k1, _ = forces(contact, depth1, rate1, memory1)
+                f0, k0, _ = forces_and_slopes(contact.stops, depth, rate, memory)
+                f1, k1, _ = forces_and_slopes(contact.stops, depth1, rate1, memory1)
                 peak = cubic_maximum(f0, k0 * rate * h, f1, k1 * rate1 * h)
                 force = jnp.max(peak, axis=0)
                 here = touching_stops(contact.stops, depth, f0)

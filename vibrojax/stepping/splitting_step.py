@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from vibrojax.model.drives import AbstractSignal
 from vibrojax.model.equations import LinearEquations
@@ -19,7 +19,7 @@ from vibrojax.stepping.splitting import (
 )
 
 State = Float[Array, " states"]
-Scalar = Float[ArrayLike, ""]
+Scalar = Float[Array, ""]
 
 
 class DrivenStep(NamedTuple):
@@ -27,7 +27,7 @@ class DrivenStep(NamedTuple):
 
     at: Callable[[float], State]
     """The states about which modes move freely, stops left out."""
-    input: Callable[[float], Float[Array, ""]]
+    input: Callable[[float], Scalar]
     """m/s2 or N."""
     flow: Callable[[float], Callable[..., Float[Array, "2 modes"]]]
     """The flow of (q, q') about those states over a share of the step, from another share on."""
@@ -72,7 +72,7 @@ def driven_step(
 def _straight(motion, equations, start, duration) -> DrivenStep:
     """Under an input that is linear over the step this is exact; of another it is the chord."""
     check_uncoupled(equations)
-    ends = jnp.asarray(start) + jnp.array([0.0, 1.0]) * duration
+    ends = start + jnp.array([0.0, 1.0]) * duration
     first, last = motion.drive.input(motion.waveform, ends)
     slope = (last - first) / duration
     w, zeta = equations.angular_frequency, equations.damping_ratio
@@ -94,9 +94,7 @@ def _straight(motion, equations, start, duration) -> DrivenStep:
     return DrivenStep(at, input_, flow)
 
 
-def step_from(
-    motion: Motion, state: State, start: Float[Array, ""], duration: Float[Array, ""]
-) -> State:
+def step_from(motion: Motion, state: State, start: Scalar, duration: Scalar) -> State:
     """Take one step of one lane from a time (s), for any waveform; see `driven_step`."""
     equations = motion.equations.linear_between_contacts
     if equations is None:
