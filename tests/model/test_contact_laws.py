@@ -188,6 +188,35 @@ class Putty(vj.model.AbstractMemoryLaw):
         return 5500.0 * penetration**2 / 2
 
 
+class Paste(vj.model.AbstractMemoryLaw):
+    """Putty with two memories, each of which draws the other after it."""
+
+    @property
+    def memory_size(self):
+        return 2
+
+    def force_with_memory(self, penetration, rate, memory):
+        return 5500.0 * penetration + 1e6 * (penetration - memory[0]) * (penetration - memory[1])
+
+    def memory_rate(self, penetration, rate, memory):
+        return jnp.stack([penetration - memory[1], 3 * memory[0] - 2 * memory[1]]) / 2e-3
+
+    def stored_energy_with_memory(self, penetration, memory):
+        return 5500.0 * penetration**2 / 2 + 100.0 * (memory[0] ** 2 + memory[1] ** 2)
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
+def test_several_memories_are_at_rest_where_none_are_given(shape):
+    depth = jnp.full(shape, 1e-3)
+    stop, still = vj.Stop(0.5, 4e-4, Paste()), jnp.zeros_like(depth)
+    for force in (Paste().force, stop.force, stop.exact_force):
+        np.testing.assert_allclose(force(depth, still), np.full(shape, 6.5))
+    for law in (Paste(), vj.model.MaxwellChain(5500.0, [0.0, 0.0], [1e-3, 1e-2])):
+        found = stored_energy(law, depth)
+        np.testing.assert_allclose(found, np.full(shape, 2.75e-3), rtol=1e-12)
+    assert stop.stored_energy(depth).shape == shape
+
+
 def test_laws_with_memory_are_refused_by_name_where_they_cannot_be(beam):
     system = beam(Putty())
     sentence = "Putty has an internal state that is not linear. Use frequency_sweep"

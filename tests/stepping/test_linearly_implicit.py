@@ -303,6 +303,21 @@ def test_steps_too_long_for_the_damping_are_refused(monkeypatch):
     assert vj.LinearlyImplicit(1e-3).steps(vj.motion(stiff, frequency=5.7)) > 20_000
 
 
+def test_longest_step_holds_for_numbers_that_are_traced():
+    method = vj.LinearlyImplicit(longest_step=1e-2)
+
+    def steps(damping, frequency):
+        counts.append(method.steps(vj.motion(oscillator(damping), frequency=frequency)))
+        return damping
+
+    counts = []
+    jax.eval_shape(lambda damping: steps(damping, 0.2), 1.0)
+    jax.grad(lambda damping: steps(damping, 0.1))(1.0)
+    assert counts == [500, 1000]
+    with pytest.raises(ValueError, match="a frequency that JAX is tracing: give LinearlyImplicit"):
+        jax.eval_shape(lambda frequency: steps(1.0, frequency), 0.2)
+
+
 def test_stops_with_memory_are_refused():
     system = oscillator(0.0, law=vj.StandardLinearSolid(50.0, 20.0, 1.0))
     with pytest.raises(

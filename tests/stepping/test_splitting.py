@@ -1,5 +1,7 @@
 """Exponential splitting against exact contact and closed forms."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -73,6 +75,54 @@ def test_two_stops_at_once_and_lanes_like_a_loop():
     alone = np.stack([march(rig, r, 3, 800)[:, 0] for r in ratios], axis=1)
     np.testing.assert_allclose(together, alone, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(together[:5, 1], exact(rig, 1.1, 3)[:5], atol=2e-6)
+
+
+class Coupled(vj.model.AbstractMemoryLaw):
+    """A law whose memories change by a matrix, the rates of each by the others too."""
+
+    flow: jax.Array
+    uptake: jax.Array
+
+    @property
+    def memory_size(self):
+        return len(self.uptake)
+
+    def force_with_memory(self, penetration, rate, memory):
+        return 5500.0 * penetration - 100.0 * jnp.sum(memory, axis=0)
+
+    def memory_rate(self, penetration, rate, memory):
+        return jnp.tensordot(self.flow, memory, 1) + jnp.multiply.outer(self.uptake, penetration)
+
+    def stored_energy_with_memory(self, penetration, memory):
+        return 2750.0 * penetration**2
+
+
+@pytest.mark.parametrize("size", [2, 3])
+@pytest.mark.parametrize("lanes", [(), (2,)])
+def test_coupled_memories_take_the_midpoint_rule(size, lanes):
+    flow = np.random.default_rng(size).normal(size=(size, size)) - 2 * np.eye(size)
+    uptake = np.arange(1.0, size + 1)
+    law, rubber = Coupled(jnp.asarray(flow), jnp.asarray(uptake)), vj.KelvinVoigt(5500.0)
+    solid = vj.StandardLinearSolid(3000.0, 2000.0, 0.5)
+    rig = vj.default_rig(num_modes=2)
+    stops = [vj.Stop(place, 0.0, own) for place, own in ((0.4, rubber), (0.6, law), (1.0, solid))]
+    rig = dataclasses.replace(rig, stops=tuple(stops))
+    equations = equations_of(as_arrays(rig))
+    depth = jnp.broadcast_to(1e-3 * jnp.arange(1.0, 4).reshape(3, *(1 for _ in lanes)), (3, *lanes))
+    memory = np.random.default_rng(1).normal(size=(equations.memory_size, *lanes)) * 1e-3
+    step = 0.8
+    contact = splitting.contact_of(equations, len(lanes))
+    rate, duration = jnp.zeros_like(depth), jnp.full(lanes, step)
+    _, after = splitting.kick(contact, depth, rate, jnp.asarray(memory), duration)
+    # (z1 - z0)/h = A (z0 + z1)/2 + b d, and that of the solid alone.
+    half, unit = step / 2 * flow, np.eye(size)
+    gained = step * np.multiply.outer(uptake, np.asarray(depth[1]))
+    right = np.tensordot(unit + half, memory[:size], 1) + gained
+    wanted = np.linalg.solve(unit - half, right.reshape(size, -1)).reshape(size, *lanes)
+    np.testing.assert_allclose(after[:size], wanted, rtol=1e-12, atol=1e-18)
+    own = ((1 - 0.8) * memory[size] + 1.6 * np.asarray(depth[2])) / (1 + 0.8)
+    np.testing.assert_allclose(after[size], own, rtol=1e-12)
+    assert not np.any(after[size + 1 :])  # what idles
 
 
 def test_sweep_with_a_rounded_stop_agrees_with_exact_contact():

@@ -17,13 +17,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.types import AnyArray
-from vibrojax.model.drives import AbstractSignal
-from vibrojax.model.equations import LinearEquations
 from vibrojax.model.stop_forces import memory_by_stop, stop_forces
 from vibrojax.model.systems import Motion
 from vibrojax.stepping.cubic import cubic_between
-from vibrojax.stepping.splitting import contact_of, drift, driven_flow, kick, steady, steps_of
-from vibrojax.stepping.straight_input import straight_states
+from vibrojax.stepping.splitting import contact_of, kick, steps_of
+from vibrojax.stepping.splitting_step import driven_step
 
 TOLERANCE = 1e-6
 FINEST = 0.1
@@ -122,7 +120,7 @@ def _step(motion: Motion, state, start, h):
     assert equations is not None  # checked before
     w, zeta, n = equations.angular_frequency, equations.damping_ratio, equations.size
     received = equations.modal_mass * equations.input_map
-    at, drive_at, flow = _driven_step(motion, equations, start, h)
+    at, drive_at, flow = driven_step(motion, equations, start, h)
     half, *early = (flow(x / 2) for x in (1.0, *PLACES))
 
     def lost(q, v, share):
@@ -151,49 +149,6 @@ def _step(motion: Motion, state, start, h):
     later, more = lost(q, v, 0.5)
     state = jnp.concatenate([*half(q, v, 0.5), memory]) + at(1.0)
     return state, (loss + later, work + more, impulse, taken)
-
-
-def _driven_step(motion: Motion, equations: LinearEquations, start, h):
-    """What the drive does in a step, by the share of it.
-
-    Returns the states that modes are driven along, the input, and the flows of (q, q') about them
-    over a share of the step, from another share on.
-    """
-    if isinstance(motion.waveform, AbstractSignal):
-        w, zeta = equations.angular_frequency, equations.damping_ratio
-
-        def free(share):
-            moved = drift(w, zeta, share * h)
-            return lambda q, v, _: moved(q, v)
-
-        return (
-            lambda share: straight_states(equations, motion, start, h, (share,))[0],
-            lambda share: motion.drive.input(motion.waveform, start + share * h),
-            free,
-        )
-    phase, _, _ = motion.waveform.phase(start)
-    phase_end, _, _ = motion.waveform.phase(start + h)
-    middle, rate, second = motion.waveform.phase(start + h / 2)
-    amplitude, omega = motion.drive.complex_amplitude(rate, second), (phase_end - phase) / h
-    forced, driven = steady(equations, amplitude, omega)
-
-    def angle(share):
-        known = {0.0: phase, 0.5: middle, 1.0: phase_end}
-        if share in known:
-            return known[share]
-        begun = phase if share < 0.5 else middle
-        return begun + (share - (0.0 if share < 0.5 else 0.5)) * omega * h
-
-    def wave(amplitude):
-        return lambda share: (
-            amplitude.real * jnp.sin(angle(share)) + amplitude.imag * jnp.cos(angle(share))
-        )
-
-    def about(share):
-        moved = driven_flow(equations, driven, omega, share * h)
-        return lambda q, v, begun: moved(q, v, angle(begun))
-
-    return wave(forced), wave(amplitude), about
 
 
 @compiled

@@ -75,22 +75,23 @@ def motion(
     if len(given) > 1:
         raise ValueError("Give one of frequency, frequency_ratio and waveform, not several.")
     equations = equations_of(as_arrays(system))
-    if waveform is None:
-        if frequency is None:
-            if equations.linear_between_contacts is None:
-                raise ValueError(
-                    "This system has no natural frequency: give frequency in Hz, which sets the "
-                    "steps where nothing drives."
-                )
-            natural = equations.first_frequency / (2 * jnp.pi)
-            # Without a drive the first natural frequency only serves as a clock.
-            frequency = natural * (1.0 if frequency_ratio is None else frequency_ratio)
-        waveform = Harmonic(jnp.asarray(frequency))
     linear = equations.linear_between_contacts
-    if linear is not None and linear.free and isinstance(waveform, Harmonic):
-        # The march under signals needs no natural frequencies.
-        waveform = Tones(jnp.asarray(waveform.frequency)[None])
-    drive, waveform = as_arrays(system.drive), as_arrays(waveform)
+    if waveform is None and frequency is None:
+        if linear is None:
+            raise ValueError(
+                "This system has no natural frequency: give frequency in Hz, which sets the "
+                "steps where nothing drives."
+            )
+        # Without a drive the first natural frequency only serves as a clock.
+        ratio = 1.0 if frequency_ratio is None else frequency_ratio
+        frequency = equations.first_frequency / (2 * jnp.pi) * ratio
+    with jax.ensure_compile_time_eval():  # known numbers stay known inside of jit
+        if waveform is None:
+            waveform = Harmonic(jnp.asarray(frequency))
+        if linear is not None and linear.free and isinstance(waveform, Harmonic):
+            # The march under signals needs no natural frequencies.
+            waveform = Tones(jnp.asarray(waveform.frequency)[None])
+        drive, waveform = as_arrays(system.drive), as_arrays(waveform)
     return Motion(equations, drive, waveform, prepare_motion(system, equations))
 
 

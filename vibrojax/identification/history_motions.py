@@ -22,9 +22,8 @@ from vibrojax.model.systems import Motion, as_arrays
 from vibrojax.steady.starting import stepper
 from vibrojax.stepping import splitting
 from vibrojax.stepping.contact_phases import ContactPhases, contact_phases
-from vibrojax.stepping.input_phases import input_phases
 from vibrojax.stepping.linearly_implicit import STEPS
-from vibrojax.stepping.signal_march import march_equal, march_unequal
+from vibrojax.stepping.signal_grid import SignalGrid, march_on_grid
 from vibrojax.stepping.stepper import ExactContact, ExponentialSplitting
 
 lax = jax.lax
@@ -179,32 +178,17 @@ def _advance(motion: Motion, exact: bool, fewest: int, start, duration, state):
 
 def _driven_states(rig: Rig, plan: Plan, times: Float[Array, " samples"]):
     """States (samples, states) at times (s) under a drive as measured."""
-    motion, begun = _motion(rig), rig.start
-    exact = plan.exact
-    if exact and plan.together:
-        moments, values = rig.record
+    moments = rig.record[0]
+    if plan.exact and plan.together:
         step = (moments[-1] - moments[0]) / (moments.shape[0] - 1)
-        phases = input_phases(rig.equations, rig.drive, motion.waveform)
-        found = march_equal(
-            phases,
-            phases.begin(begun, moments[0]),
-            rig.drive.signal_factor * values,
-            step,
-            stride=1,
-            count=moments.shape[0] - 1,
-            reverse=False,
-        )
         place = jnp.round((times - moments[0]) / step).astype(int)
-        return found[place, : phases.scale.shape[0]] * phases.scale
-    knots = jnp.sort(jnp.concatenate([rig.record[0], times]))
-    if not exact:
-        states = _states(rig, exact, begun, knots, knots[0])
-    else:
-        phases = input_phases(rig.equations, rig.drive, motion.waveform)
-        values = rig.drive.input(motion.waveform, knots)
-        found = march_unequal(phases, phases.begin(begun, knots[0]), values, knots, reverse=False)
-        states = found[:, : phases.scale.shape[0]] * phases.scale
-    return states[jnp.searchsorted(knots, times)]
+        grid = SignalGrid(moments, None, 1)
+        return march_on_grid(_motion(rig), grid, rig.start, reverse=False)[place]
+    knots = jnp.sort(jnp.concatenate([moments, times]))
+    place = jnp.searchsorted(knots, times)
+    if plan.exact:
+        return march_on_grid(_motion(rig), SignalGrid(knots, place, 1), rig.start, reverse=False)
+    return _states(rig, False, rig.start, knots, knots[0])[place]
 
 
 def _states(

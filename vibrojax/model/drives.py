@@ -224,11 +224,6 @@ class PointForce(AbstractDrive):
         """Amplitude of the force: ratios are receptances, m/N."""
         return self.amplitude, "m/N"
 
-    @property
-    def signal_factor(self) -> float:
-        """1: what is measured is the force."""
-        return 1.0
-
 
 @validated
 class NoDrive(AbstractDrive):

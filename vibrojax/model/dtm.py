@@ -171,11 +171,6 @@ def _march(beta: Scalar, taper: Scalar, masses: Knots, knots: Knots) -> _March:
     return _March(series, bases, triangles, jnp.stack([tip[2], shear]))
 
 
-def _frequency_equation(beta, args) -> Scalar:
-    end = _march(beta, *args).end
-    return end[0, 0] * end[1, 1] - end[0, 1] * end[1, 0]
-
-
 @lru_cache(maxsize=64)
 def _ritz_basis(size: int) -> tuple[np.ndarray, ...]:
     """Polynomials whose second derivative is 1/sqrt(weight) at one Gauss point, 0 at the others.
@@ -207,13 +202,22 @@ def _legendre(x: Points, number: int) -> Float[Array, "number points"]:
     return values
 
 
-def _flexibility(taper: Scalar, positions: Points, knots: Knots) -> Float[Array, "points points"]:
-    """Static deflection at every position by a unit force at every other; each is a knot."""
-    node, weight = (1 + _QUADRATURE[0]) / 2, _QUADRATURE[1] / 2
-    h = jnp.diff(knots)[:, None]
-    s = knots[:-1, None] + h * node
-    arm = jnp.maximum(positions[:, None, None] - s, 0.0)
-    return jnp.einsum("psq,rsq->pr", arm, arm * h * weight / (1 - taper * s))
+def static_deflection(
+    taper: Scalar, places: Points, forces: Float[Array, " forces"]
+) -> Float[Array, "points forces"]:
+    """Return the deflection at places x/L by unit forces at others, in units of L3/(E I0)."""
+
+    def one(place: Scalar, force: Scalar) -> Scalar:
+        # In y, with dy = ds / (1 - taper s), the integrand is smooth for every taper.
+        near = jnp.minimum(place, force)
+        flat = jnp.abs(taper) < 1e-6
+        safe = jnp.where(flat, 0.5, taper)
+        end = jnp.where(flat, near * (1 + taper * near / 2), -jnp.log1p(-safe * near) / safe)
+        y = end * (1 + _QUADRATURE[0]) / 2
+        s = jnp.where(flat, y * (1 - taper * y / 2), -jnp.expm1(-safe * y) / safe)
+        return jnp.sum((place - s) * (force - s) * _QUADRATURE[1]) * end / 2
+
+    return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(places, forces)
 
 
 def _start(
@@ -221,7 +225,6 @@ def _start(
     mass_ratio: Scalar,
     point_masses: Points,
     positions: Points,
-    knots: Knots,
     num_modes: int,
 ) -> PerMode:
     """All wanted beta, none missed, by Rayleigh-Ritz: only a start, so no gradient.
@@ -230,15 +233,15 @@ def _start(
     by forces at the masses join them: what of those the polynomials lack, made orthonormal in
     stiffness. It moves little but the masses themselves, so that alone is counted.
     """
-    taper, mass_ratio, point_masses, positions, knots = jax.lax.stop_gradient(
-        (taper, mass_ratio, point_masses, positions, knots)
+    taper, mass_ratio, point_masses, positions = jax.lax.stop_gradient(
+        (taper, mass_ratio, point_masses, positions)
     )
     points, mass, mass_s, tip, coefficients = _ritz_basis(2 * num_modes + 12)
     weight = 1 / jnp.sqrt(1 - taper * points)
     matrix = mass - taper * mass_s + mass_ratio * np.outer(tip, tip)
     matrix = weight[:, None] * matrix * weight
     values = weight[:, None] * (coefficients.T @ _legendre(2 * positions - 1, len(coefficients)))
-    lacking = _flexibility(taper, positions, knots) - values.T @ values
+    lacking = static_deflection(taper, positions, positions) - values.T @ values
     # It is singular when masses share a place.
     rounding = 1e3 * jnp.finfo(lacking.dtype).eps * jnp.eye(positions.size)
     values = jnp.concatenate([values, jnp.linalg.cholesky(lacking + rounding).T])
@@ -254,7 +257,8 @@ def _roots(start: PerMode, taper: Scalar, masses: Knots, knots: Knots) -> PerMod
     newton = optx.Newton(rtol=tolerance, atol=tolerance)
 
     def equation(beta):
-        return _frequency_equation(beta, (taper, masses, knots))
+        end = _march(beta, taper, masses, knots).end
+        return end[0, 0] * end[1, 1] - end[0, 1] * end[1, 0]
 
     def solve(_, beta):
         found = optx.root_find(lambda b, _: equation(b), newton, beta, max_steps=16, throw=False)
@@ -309,7 +313,7 @@ def solve(
     """
     joints = _joints(taper, num_segments(num_modes))
     knots, masses = _place(joints, mass_ratio, point_masses, positions)
-    start = _start(taper, mass_ratio, point_masses, positions, knots, num_modes)
+    start = _start(taper, mass_ratio, point_masses, positions, num_modes)
     beta = _roots(start, taper, masses, knots)
     assemble = jax.vmap(_assemble, in_axes=(0, None, None, None))
     coefficients, square, linear, at_knots = assemble(beta, taper, masses, knots)

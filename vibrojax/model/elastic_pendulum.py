@@ -55,8 +55,6 @@ class Limiters(eqx.Module):
         check_positive("distance", self.distance, "m")
         if self.smoothing is not None:
             check_not_negative("smoothing", self.smoothing, "m")
-        if not isinstance(self.law, AbstractContactLaw):
-            raise ValueError(f"law must be a contact law such as KelvinVoigt, got {self.law!r}.")
 
     def stops(self) -> tuple[Stop, Stop]:
         """Return the stop on the +x side and the one on the -x side."""
@@ -119,8 +117,6 @@ class ElasticPendulum(AbstractSystem):
         check_not_negative("gravity", self.gravity, "m/s2")
         check_count("num_links", self.num_links, least=2, most=1000)
         if self.limiters is not None:
-            if not isinstance(self.limiters, Limiters):
-                raise ValueError(f"limiters must be Limiters(...) or None, got {self.limiters!r}.")
             length, height = concrete(self.length), self.limiters.height
             if length is not None and (length.ndim == 0 or not is_list(height)):
                 shortest = float(length.min())

@@ -13,7 +13,7 @@ from vibrojax.model.drives import AbstractDrive, Values
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.impacting_beam import ImpactingBeam
 from vibrojax.model.internal_states import InternalStates
-from vibrojax.model.piezo import PiezoLayers, modal_coupling
+from vibrojax.model.piezo import PiezoLayers
 from vibrojax.model.states import Displacement
 from vibrojax.model.stops import Stop
 from vibrojax.model.systems import AbstractSystem
@@ -108,8 +108,10 @@ class Harvester(AbstractSystem):
 
     def coupling(self) -> Float[Array, " modes"]:
         """Modal force of a unit voltage, theta, N/V, or charge per modal coordinate, C/m."""
-        free, ends = self.rig.modes(), jnp.stack([self.layers.start, self.layers.end])
-        return modal_coupling(self.layers, self.rig.beam, free.shape(ends, derivative=1))
+        ends = jnp.stack([self.layers.start, self.layers.end])
+        slopes = self.rig.modes().shape(ends, derivative=1)
+        moment = jnp.asarray(self.layers.moment_per_volt)
+        return moment * (slopes[1] - slopes[0]) / self.rig.beam.length
 
     def equations(self) -> LinearEquations:
         """Put the circuit with the modes of the beam."""

@@ -17,7 +17,7 @@ from vibrojax.model.equations import AbstractGauge, LinearEquations
 from vibrojax.model.internal_states import InternalStates, no_states
 from vibrojax.model.states import Displacement
 from vibrojax.model.stops import Stop, as_stops
-from vibrojax.model.systems import AbstractSystem, check_stops_and_drive
+from vibrojax.model.systems import AbstractSystem
 
 Matrix = ArrayLike | Sequence[Any]
 
@@ -85,7 +85,6 @@ class Joined(AbstractSystem):
         second_map: Matrix | None = None,
     ) -> None:
         self.first, self.second, self.between = first, second, as_stops(between)
-        check_stops_and_drive(self.between, NoDrive())
         if not self.between:
             raise ValueError("between must hold at least one Stop, got none.")
         self.second_position = self._places(second_position)

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import (
-    check_choice,
     check_not_negative,
     check_positive,
     check_range,
@@ -102,7 +101,13 @@ class AbstractMemoryLaw(AbstractContactLaw):
 
     def force(self, penetration: Values, rate: Values) -> Values:
         """Return the force of a stop that was at rest before, N."""
-        return self.force_with_memory(penetration, rate, jnp.zeros_like(penetration))
+        return self.force_with_memory(penetration, rate, _at_rest(self, penetration))
+
+
+def _at_rest(law: AbstractMemoryLaw, penetration: Values) -> Values:
+    """Return the memory of a stop at rest, at every penetration."""
+    several = () if law.memory_size == 1 else (law.memory_size,)
+    return jnp.zeros_like(penetration, shape=(*several, *jnp.shape(penetration)))
 
 
 class LinearContact(NamedTuple):
@@ -152,7 +157,7 @@ def stored_energy(
 ) -> Values:
     """Return the energy that a stop could give back, J: the work of the force at rate 0."""
     if isinstance(law, AbstractMemoryLaw):
-        memory = jnp.zeros_like(penetration) if memory is None else memory
+        memory = _at_rest(law, penetration) if memory is None else memory
         return law.stored_energy_with_memory(penetration, memory)
     coefficients = linear_coefficients(law)
     if coefficients is not None:
@@ -197,7 +202,6 @@ class KelvinVoigt(AbstractLinearLaw):
         """Refuse concrete values that are not a stop."""
         check_not_negative("stiffness", self.stiffness, "N/m")
         check_not_negative("damping", self.damping, "N s/m")
-        check_choice("tension", self.tension, (True, False))
 
     @classmethod
     @validated(traceable=True)
@@ -221,7 +225,6 @@ class KelvinVoigt(AbstractLinearLaw):
         check_restitution(restitution)
         check_positive("stiffness", stiffness, "N/m")
         check_positive("mass", mass, "kg")
-        check_choice("tension", tension, (True, False))
         ratio = damping_ratio_of(restitution, tension)
         return cls(stiffness, 2 * ratio * jnp.sqrt(jnp.asarray(stiffness) * mass), tension)
 

@@ -29,7 +29,6 @@ from vibrojax.model.stop_forces import contact_slope
 from vibrojax.model.stops import Stop, as_stops
 from vibrojax.model.systems import (
     AbstractSystem,
-    check_stops_and_drive,
     check_without_places,
 )
 
@@ -131,7 +130,6 @@ class MatrixSystem(AbstractSystem):
     ) -> None:
         self.stops = as_stops(stops)
         self.drive = NoDrive() if drive is None else drive
-        check_stops_and_drive(self.stops, self.drive)
         check_without_places("a MatrixSystem", self.stops, "Its row of stop_map says where it is.")
         self.mass = dense("mass", mass)
         n = self.mass.shape[0] if self.mass.ndim else 0

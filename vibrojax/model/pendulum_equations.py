@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from vibrojax._tools.trigonometry import cosine, cosine_and_sine
+from vibrojax._tools.trigonometry import cosine, cosine_and_sine, sine
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.stops import Stop
 
@@ -81,14 +81,9 @@ class PendulumEquations(AbstractEquations):
         reach = across * c + (self.limiter_height - along) * s
         return jnp.stack([stop.side * reach - stop.gap * c for stop in self.stops])
 
-    def tip(self, q: Links) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Return where the tip is from the hinge, across and up, m."""
-        up, across = (self.link_length * jnp.sum(part) for part in cosine_and_sine(q))
-        return across, up
-
     def response(self, q: Links) -> Float[Array, ""]:
         """Return the displacement of the tip relative to the base, m."""
-        return self.tip(q)[0]
+        return self.link_length * jnp.sum(sine(q))
 
     def observables(self, q: Links) -> dict[str, Float[Array, ""]]:
         """Return what can be watched of a motion; see `pendulum_observables`."""

@@ -5,7 +5,6 @@ parallel connection of the layers).
 """
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from vibrojax._tools.checks import check_choice, check_positive, check_range, number_field
@@ -122,10 +121,3 @@ def bimorph(
     if connection == "series":
         return beam, PiezoLayers(moment, one_layer / 2)
     return beam, PiezoLayers(2 * moment, 2 * one_layer)
-
-
-def modal_coupling(
-    layers: PiezoLayers, beam: Cantilever, slopes: Float[Array, "2 modes"]
-) -> Float[Array, " modes"]:
-    """Modal force of a unit voltage, N/V, from the slopes of the shapes at both ends by x/L."""
-    return jnp.asarray(layers.moment_per_volt) * (slopes[1] - slopes[0]) / beam.length

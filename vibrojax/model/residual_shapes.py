@@ -9,12 +9,12 @@ the stops is exact, and the equations stay modal. Sources: MacNeal 1971, Compute
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax.model.beam import Cantilever
+from vibrojax.model.dtm import static_deflection
 from vibrojax.model.modes import Modes
 
 Scalar = Float[Array, ""]
@@ -76,24 +76,6 @@ def _independent(flexibility: Square, whole: Float[Array, " stops"]) -> tuple[Sq
         rows.append(jnp.where(is_shape, row / jnp.sqrt(jnp.where(is_shape, rest, 1.0)), 0.0))
         kept.append(is_shape)
     return jnp.stack(rows), jnp.stack(kept)
-
-
-def static_deflection(
-    taper: Scalar, places: Float[Array, " points"], forces: Float[Array, " stops"]
-) -> Float[Array, "points stops"]:
-    """Return the deflection at places x/L by unit forces at others, in units of L3/(E I0)."""
-
-    def one(place: Scalar, force: Scalar) -> Scalar:
-        # In y, with dy = ds / (1 - taper s), the integrand is smooth for every taper.
-        near = jnp.minimum(place, force)
-        flat = jnp.abs(taper) < 1e-6
-        safe = jnp.where(flat, 0.5, taper)
-        end = jnp.where(flat, near * (1 + taper * near / 2), -jnp.log1p(-safe * near) / safe)
-        y = end * (1 + _NODES) / 2
-        s = jnp.where(flat, y * (1 - taper * y / 2), -jnp.expm1(-safe * y) / safe)
-        return jnp.sum((place - s) * (force - s) * _WEIGHTS) * end / 2
-
-    return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(places, forces)
 
 
 class CorrectedModes(eqx.Module):

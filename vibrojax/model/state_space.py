@@ -20,7 +20,7 @@ from vibrojax.model.internal_states import InternalStates
 from vibrojax.model.matrix_checks import check_array
 from vibrojax.model.states import Displacement, check_coordinates
 from vibrojax.model.stops import Stop, as_stops
-from vibrojax.model.systems import AbstractSystem, check_stops_and_drive
+from vibrojax.model.systems import AbstractSystem, check_without_places
 
 Matrix = ArrayLike | Sequence[Any]
 SAME = 1e-9
@@ -79,13 +79,7 @@ class StateSpace(AbstractSystem):
     ) -> None:
         self.stops = as_stops(stops)
         self.drive = NoDrive() if drive is None else drive
-        check_stops_and_drive(self.stops, self.drive)
-        for stop in self.stops:
-            if stop.position is not None:
-                raise ValueError(
-                    f"position must be None for a Stop of a StateSpace, got {stop.position!r}. "
-                    "Its row of stop_map says where it is."
-                )
+        check_without_places("a StateSpace", self.stops, "Its row of stop_map says where it is.")
         self.flow = jnp.asarray(flow, float)
         n, count = self.flow.shape[0] if self.flow.ndim else 0, len(self.stops)
         missing = {"stop_map": stop_map is None and count, "force_map": force_map is None and count}

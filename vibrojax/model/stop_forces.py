@@ -30,6 +30,20 @@ def stop_forces(
     return jnp.stack(forces) if forces else jnp.zeros_like(depth)
 
 
+def forces_and_slopes(
+    stops: tuple[Stop, ...], depth: PerStop, rate: PerStop, memory: Memories | None = None
+) -> tuple[PerStop, PerStop, PerStop]:
+    """Return the force of each stop (N), its slope in depth (N/m) and its slope in rate (N s/m)."""
+
+    def all_stops(depth, rate):
+        return stop_forces(stops, depth, rate, memory)
+
+    one, zero = jnp.ones_like(depth), jnp.zeros_like(depth)
+    force, stiffness = jax.jvp(all_stops, (depth, rate), (one, zero))
+    _, damping = jax.jvp(all_stops, (depth, rate), (zero, one))
+    return force, stiffness, damping
+
+
 def memory_rates(
     stops: tuple[Stop, ...], depth: PerStop, rate: PerStop, memory: Memories
 ) -> Memories:

@@ -1,7 +1,5 @@
 """Stops: where they are, when they are touched, and the rounded corner of their force."""
 
-from collections.abc import Iterable
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
@@ -154,11 +152,5 @@ class Stop(eqx.Module):
 
 
 def as_stops(stops: Stop | tuple[Stop, ...] | list[Stop]) -> tuple[Stop, ...]:
-    """Return one stop or several as a tuple. Raises `ValueError` for what is neither."""
-    if isinstance(stops, Stop):
-        return (stops,)
-    if not isinstance(stops, Iterable):
-        raise ValueError(
-            f"stops must be a Stop or a list of them, got {stops!r}. Leave it out for none."
-        )
-    return tuple(stops)
+    """Return one stop or several as a tuple."""
+    return (stops,) if isinstance(stops, Stop) else tuple(stops)

@@ -198,15 +198,6 @@ def check_without_places(of: str, stops: tuple[Stop, ...], advice: str) -> None:
             )
 
 
-def check_stops_and_drive(stops: tuple[Stop, ...], drive: AbstractDrive) -> None:
-    """Raise `ValueError` unless they are stops and a drive."""
-    for stop in stops:
-        if not isinstance(stop, Stop):
-            raise ValueError(f"stops must hold Stop objects, got {stop!r}.")
-    if not isinstance(drive, AbstractDrive):
-        raise ValueError(f"drive must be BaseMotion, PointForce or NoDrive, got {drive!r}.")
-
-
 def as_arrays(system: ModuleType) -> ModuleType:
     """Turn every number of a module into an array, so that new numbers do not recompile."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), system)

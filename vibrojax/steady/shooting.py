@@ -105,37 +105,29 @@ def _shoot(numbers, is_ratio, period, state, method, stepper):
         numbers, unit = given
         return passed(numbers, x * unit, period, False) / unit - x
 
-    def solved(numbers, start, unit):
-        found = optimistix.root_find(
-            returned,
-            optimistix.Newton(rtol=1e-9, atol=1e-9),
-            start / unit,
-            (numbers, unit),
-            max_steps=method.max_steps,
-            throw=False,
-        )
-        x = found.value
-        # Under differentiation only the solution matters, not the map's own Jacobian.
-        held = frozen(numbers), unit
-        matrix = jax.jacfwd(lambda x: returned(x, held))(jax.lax.stop_gradient(x))
-        states = passed(numbers, x * unit, period, True)
-        place = place_of(*numbers)
-        residual = jnp.max(jnp.abs(returned(jax.lax.stop_gradient(x), held)))
-        reading = _read(place, states, method.steps_per_period, period)
-        multipliers = eigenvalues(jax.lax.stop_gradient(matrix) + jnp.eye(extent))
-        strobes = jax.lax.stop_gradient(states[: -1 : method.steps_per_period])
-        residual = jax.lax.stop_gradient(residual)
-        return reading, multipliers.real, multipliers.imag, residual, strobes
-
-    reading, real, imaginary, residual, strobes = solved(numbers, start, unit)
+    found = optimistix.root_find(
+        returned,
+        optimistix.Newton(rtol=1e-9, atol=1e-9),
+        start / unit,
+        (numbers, unit),
+        max_steps=method.max_steps,
+        throw=False,
+    )
+    x = found.value
+    states = passed(numbers, x * unit, period, True)
     place = place_of(*numbers)
+    # Under differentiation only the solution matters, not the map's own Jacobian.
+    still_x, held = jax.lax.stop_gradient(x), (still, unit)
+    matrix = jax.jacfwd(lambda x: returned(x, held))(still_x)
+    residual = jnp.max(jnp.abs(returned(still_x, held)))
+    multipliers = eigenvalues(jax.lax.stop_gradient(matrix) + jnp.eye(extent))
     return numbers_of(
         place,
-        reading,
+        _read(place, states, method.steps_per_period, period),
         period=period,
-        strobes=strobes,
+        strobes=jax.lax.stop_gradient(states[: -1 : method.steps_per_period]),
         guess=state,
-        multipliers=jax.lax.stop_gradient(real + 1j * imaginary),
+        multipliers=jax.lax.stop_gradient(multipliers),
         residual=jax.lax.stop_gradient(residual),
         converged=residual < 1e-6,
     )

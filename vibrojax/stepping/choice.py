@@ -36,13 +36,8 @@ def choose_stepper(
     """Return the stepper asked for, or the one that suits the stops of the system.
 
     `lowest` is the lowest frequency of a study and its name. Raises `ValueError` when the stepper
-    asked for is none, or cannot do the stops or, there, the damping.
+    asked for cannot do the stops or, there, the damping.
     """
-    if stepper is not None and not isinstance(stepper, AbstractStepper):
-        raise ValueError(
-            "stepper must be ExactContact(), ExponentialSplitting() or LinearlyImplicit(), with "
-            f"its settings, got {stepper!r}. Leave it out to have it chosen."
-        )
     exact = is_exact(system)
     if isinstance(stepper, ExactContact) and not exact:
         raise ValueError(

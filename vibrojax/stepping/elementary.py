@@ -84,6 +84,22 @@ def matrix_product(
     return reduce(jnp.add, [first[:, j, None] * second[j] for j in range(len(second))])
 
 
+def solve_small(
+    matrix: Float[Array, "rows rows *#lanes"], right: Float[Array, "rows *#lanes"]
+) -> Float[Array, "rows *lanes"]:
+    """Solve (1 + matrix) x = right; up to two in closed form, as a library call costs a step."""
+    if right.shape[0] == 1:
+        return right / (1 + matrix[0])
+    if right.shape[0] == 2:
+        (a, b), (c, d) = matrix
+        a, d = 1 + a, 1 + d
+        crossed = jnp.stack([d * right[0] - b * right[1], a * right[1] - c * right[0]])
+        return crossed / (a * d - b * c)
+    whole = jnp.eye(right.shape[0]) + jnp.moveaxis(matrix, (0, 1), (-2, -1))
+    found = jnp.linalg.solve(whole, jnp.moveaxis(right, 0, -1)[..., None])[..., 0]
+    return jnp.moveaxis(found, -1, 0)
+
+
 def by_halves(join: Callable[[T, T], T], terms: T, axis: int = 0) -> T:
     """Join what lies along an axis of arrays, halves at a time.
 

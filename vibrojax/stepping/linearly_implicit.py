@@ -99,18 +99,27 @@ class LinearlyImplicit(AbstractStepper):
     def steps(self, motion: Motion) -> int:
         """As many as the tolerance and the damping, or the settings, ask for.
 
-        Raises `ValueError` for a step that is too long for the damping.
+        Raises `ValueError` for a step that is too long for the damping, or a `longest_step` (s) at
+        a frequency that JAX is tracing.
         """
-        period = concrete(2 * jnp.pi / motion.clock)
+        with jax.ensure_compile_time_eval():  # a known frequency stays known inside of jit
+            period = concrete(2 * jnp.pi / motion.clock)
         fastest = concrete(_fastest_damping(_without_memory(motion.equations)))
-        if period is None or fastest is None:
-            return self.steps_per_period or math.ceil(STEPS * (1e-4 / self.tolerance) ** 0.5)
         if self.steps_per_period is not None:
-            self.check_ringing(float(period) / self.steps_per_period, float(fastest))
+            if period is not None and fastest is not None:
+                self.check_ringing(float(period) / self.steps_per_period, float(fastest))
             return self.steps_per_period
         if self.longest_step is not None:
-            self.check_ringing(self.longest_step, float(fastest))
+            if fastest is not None:
+                self.check_ringing(self.longest_step, float(fastest))
+            if period is None:
+                raise ValueError(
+                    "The number of steps of longest_step depends on a frequency that JAX is "
+                    "tracing: give LinearlyImplicit(steps_per_period=...)."
+                )
             return math.ceil(float(period) / self.longest_step - 1e-9)
+        if period is None or fastest is None:
+            return math.ceil(STEPS * (1e-4 / self.tolerance) ** 0.5)
         return int(chosen_steps(period, fastest, np.asarray(self.tolerance), np))
 
     def check_system(self, system: AbstractSystem, lowest: tuple[str, float] | None = None) -> None:

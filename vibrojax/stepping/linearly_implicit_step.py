@@ -14,8 +14,9 @@ from jaxtyping import Array, Float
 
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.model.laws import linear_coefficients
-from vibrojax.model.stop_forces import stop_forces
+from vibrojax.model.stop_forces import forces_and_slopes, stop_forces
 from vibrojax.model.stops import Stop
+from vibrojax.stepping.elementary import solve_small
 from vibrojax.stepping.splitting import drift
 
 CONTACT_PASSES = 4
@@ -135,13 +136,7 @@ def _impact(stops, held, speed, time, reach):
     A stop, linearised at the touch, is an oscillator on the mobility of its place, whose motion is
     known. Where it would let go, a backward Euler step is taken.
     """
-
-    def law(depth, speed):
-        return stop_forces(stops, depth, speed)
-
-    one, zero = jnp.ones_like(held), jnp.zeros_like(held)
-    force, stiffness = jax.jvp(law, (held, speed), (one, zero))
-    _, damping = jax.jvp(law, (held, speed), (zero, one))
+    force, stiffness, damping = forces_and_slopes(stops, held, speed)
     if all(linear_coefficients(stop.law) is not None for stop in stops):
         # At the corner itself the slopes are those beyond it.
         laws = zip(*(linear_coefficients(stop.law) for stop in stops), strict=True)
@@ -194,17 +189,5 @@ def contact_impulses(
     for _ in range(passes):
         depth = after - reach @ impulse
         value, slope = jax.jvp(law, (depth,), (jnp.ones_like(depth),))
-        impulse = impulse + _solve_small(slope[:, None] * reach, value - impulse)
+        impulse = impulse + solve_small(slope[:, None] * reach, value - impulse)
     return impulse
-
-
-def _solve_small(matrix, right):
-    """Solve (1 + matrix) x = right; up to two in closed form, as a library call costs a step."""
-    if right.shape[0] == 1:
-        return right / (1 + matrix[0])
-    if right.shape[0] == 2:
-        (a, b), (c, d) = matrix
-        a, d = 1 + a, 1 + d
-        crossed = jnp.stack([d * right[0] - b * right[1], a * right[1] - c * right[0]])
-        return crossed / (a * d - b * c)
-    return jnp.linalg.solve(jnp.eye(right.shape[0]) + matrix, right)

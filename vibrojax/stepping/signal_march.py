@@ -6,7 +6,8 @@ first interval in which that leaves room for a change of contact is looked at mo
 series from step to step, on which the change is found for certain and landed on.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -87,26 +88,21 @@ class Segment(eqx.Module):
         def going(place: Place) -> Bool[Array, ""]:
             return (place.sample < self.samples) & (place.rounds < ROUNDS)
 
-        def round_(place: Place, numbers: tuple) -> Place:
-            segment, values, step = numbers
-            if segment.ahead is None:
-                place = segment.fine(place, values, step)
-            elif not segment.phases.num_stops:
-                place = segment.far(place, values)
+        fine, far = partial(self.fine, values=values, step=step), partial(self.far, values=values)
+
+        def on(place: Place, _: Any = None) -> Place:
+            if self.ahead is None:
+                place = fine(place)
+            elif not self.phases.num_stops:
+                place = far(place)
             else:
-                place = lax.cond(
-                    place.closely,
-                    lambda p: segment.fine(p, values, step),
-                    lambda p: segment.far(p, values),
-                    place,
-                )
+                place = lax.cond(place.closely, fine, far, place)
             return place._replace(rounds=place.rounds + 1)
 
-        numbers = self, values, step
         if self.reverse:
-            place = replayed_while(going, lambda p, _: round_(p, numbers), place, ROUNDS)
+            place = replayed_while(going, on, place, ROUNDS)
         else:
-            place = lax.while_loop(going, lambda p: round_(p, numbers), place)
+            place = lax.while_loop(going, on, place)
         arrived = place.sample >= self.samples
         end = jnp.where(arrived, place.carried, jnp.inf)
         kept = place.kept[: self.samples] if room > 1 else end[None]
@@ -114,7 +110,7 @@ class Segment(eqx.Module):
 
     def far(self, place: Place, values: Float[Array, " inputs"]) -> Place:
         """Go on by as many samples ahead as contact is certain not to change."""
-        phases, tables, m = self.phases, self.ahead, self.phases.carried
+        phases, tables = self.phases, self.ahead
         assert tables is not None  # asked for where there are tables
         coming = lax.dynamic_slice_in_dim(values, place.sample, AHEAD + 1)
         known = jnp.concatenate([place.carried, coming])
@@ -133,7 +129,7 @@ class Segment(eqx.Module):
             sample=place.sample + count.astype(jnp.int32),
             closely=count < left,
             kept=kept,
-        )._replace(carried=reached[:m])
+        )
 
     def _quiet(
         self,

@@ -19,22 +19,19 @@ from jaxtyping import Array, Complex, Float, Int
 
 from vibrojax._tools.compiled import compiled
 from vibrojax._tools.trigonometry import cosine_and_sine
-from vibrojax.model.drives import AbstractSignal
 from vibrojax.model.equations import LinearEquations
 from vibrojax.model.stop_forces import (
     contact_slope,
+    forces_and_slopes,
     memory_rates,
-    stop_forces,
     touching_stops,
 )
 from vibrojax.model.stops import Stop
-from vibrojax.model.systems import Motion
 from vibrojax.stepping.contact_phases import spread
 from vibrojax.stepping.cubic import cubic_maximum
-from vibrojax.stepping.elementary import computed_once, where_needed
+from vibrojax.stepping.elementary import computed_once, solve_small, where_needed
 from vibrojax.stepping.measures import Measures, Segment, no_measures
 from vibrojax.stepping.resonance import driven_growth, is_resonant
-from vibrojax.stepping.straight_input import straight_states
 
 Modes = Float[Array, "modes *#lanes"]
 Lanes = Float[Array, "*#lanes"]
@@ -177,20 +174,6 @@ def _apply(matrix, vector):
     return jnp.sum(matrix * vector[None], axis=1)
 
 
-def forces(
-    contact: Contact, depth: PerStop, rate: PerStop, memory: Memories
-) -> tuple[PerStop, ...]:
-    """Return the force of each stop, its slope in depth and its slope in rate."""
-
-    def all_stops(depth, rate):
-        return stop_forces(contact.stops, depth, rate, memory)
-
-    one, zero = jnp.ones_like(depth), jnp.zeros_like(depth)
-    force, stiffness = jax.jvp(all_stops, (depth, rate), (one, zero))
-    _, damping = jax.jvp(all_stops, (depth, rate), (zero, one))
-    return force, stiffness, damping
-
-
 def kick(
     contact: Contact, depth: PerStop, rate: PerStop, memory: Memories, step: Lanes
 ) -> tuple[PerStop, Memories]:
@@ -200,7 +183,7 @@ def kick(
     that relaxes linearly, that is a linear equation: stable for any damping or relaxation time.
     """
     middle_memory = _middle_memory(contact.stops, depth, rate, memory, step)
-    force, stiffness, damping = forces(contact, depth, rate, middle_memory)
+    force, stiffness, damping = forces_and_slopes(contact.stops, depth, rate, middle_memory)
     if len(contact.stops) == 1:
         middle = force / (1 + step / 2 * damping * contact.mobility[0])
     else:
@@ -220,13 +203,20 @@ def _middle_memory(stops, depth, rate, memory, step):
     """Memories half a step on, the depths held: one Newton step of the implicit midpoint rule."""
     if not memory.shape[0]:
         return memory
-    speed, slope = jax.jvp(
-        lambda m: memory_rates(stops, depth, rate, m), (memory,), (jnp.ones_like(memory),)
-    )
-    middle = memory + step / 2 * speed / (1 - step / 2 * slope)
-    idle = np.arange(len(memory)) >= sum(stop.memory_size for stop in stops)
-    # What idles is gone after a step.
-    return jnp.where(idle.reshape((-1,) + (1,) * (memory.ndim - 1)), memory / 2, middle)
+    middle, at = [], 0
+    for i, stop in enumerate(stops):
+        size = stop.memory_size
+        if not size:
+            continue
+        here = slice(i, i + 1)
+        rates = partial(memory_rates, (stop,), depth[here], rate[here])
+        held = memory[at : at + size]
+        speed, change = jax.linearize(rates, held)
+        units = jnp.eye(size, dtype=held.dtype).reshape(size, size, *(1,) * (held.ndim - 1))
+        slope = jnp.stack([change(jnp.broadcast_to(u, held.shape)) for u in units], axis=1)
+        middle.append(held + solve_small(-step / 2 * slope, step / 2 * speed))
+        at += size
+    return jnp.concatenate([*middle, memory[at:] / 2])  # what idles is gone after a step
 
 
 def contact_rate(equations: LinearEquations) -> Lanes:
@@ -250,48 +240,6 @@ def steps_for(
 
 steps_of = compiled(steps_for)
 """The same, as a program of its own."""
-
-
-def step_from(
-    motion: Motion, state: Float[Array, " states"], start: Scalar, duration: Scalar
-) -> Float[Array, " states"]:
-    """Take one step of one lane from a time (s), for any waveform.
-
-    Harmonic drives and straight signals are exact; of a chirp the step takes the frequency and
-    amplitude of its middle.
-    """
-    equations = motion.equations.linear_between_contacts
-    if equations is None:
-        raise ValueError("ExponentialSplitting needs a system that is linear but for its stops.")
-    if isinstance(motion.waveform, AbstractSignal):
-        check_uncoupled(equations)
-        begun, halfway, end = straight_states(equations, motion, start, duration, (0.0, 0.5, 1.0))
-        free = drift(equations.angular_frequency, equations.damping_ratio, duration / 2)
-        first = second = free
-    else:
-        phase, _, _ = motion.waveform.phase(start)
-        phase_end, _, _ = motion.waveform.phase(start + duration)
-        phase_middle, rate, second_rate = motion.waveform.phase(start + duration / 2)
-        amplitude = motion.drive.complex_amplitude(rate, second_rate)
-        frequency = (phase_end - phase) / duration
-        forced, driven = steady(equations, amplitude, frequency)
-        begun, halfway, end = (
-            forced.real * jnp.sin(angle) + forced.imag * jnp.cos(angle)
-            for angle in (phase, phase_middle, phase_end)
-        )
-        half = driven_flow(equations, driven, frequency, duration / 2)
-        first, second = (partial(half, angle=angle) for angle in (phase, phase_middle))
-    q, v, memory = equations.split(state - begun)
-    q, v = first(q, v)
-    if equations.stops:
-        contact = contact_of(equations, 0)
-        forced_q, forced_v, _ = equations.split(halfway)
-        depth = contact.towards @ (q + forced_q) - contact.gap
-        rate = contact.towards @ (v + forced_v)
-        impulse, memory = kick(contact, depth, rate, memory, duration)
-        v = v - contact.push @ impulse
-    q, v = second(q, v)
-    return jnp.concatenate([q, v, memory]) + end
 
 
 def march(
@@ -363,8 +311,8 @@ def march(
             force, touches = jnp.zeros_like(y0), jnp.zeros(live.shape, bool)
             if contact.stops:
                 depth1, rate1 = depth_of(q1, v1, wave1)
-                f0, k0, _ = forces(contact, depth, rate, memory)
-                f1, k1, _ = forces(contact, depth1, rate1, memory1)
+                f0, k0, _ = forces_and_slopes(contact.stops, depth, rate, memory)
+                f1, k1, _ = forces_and_slopes(contact.stops, depth1, rate1, memory1)
                 peak = cubic_maximum(f0, k0 * rate * h, f1, k1 * rate1 * h)
                 force = jnp.max(peak, axis=0)
                 here = touching_stops(contact.stops, depth, f0)

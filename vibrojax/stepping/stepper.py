@@ -25,6 +25,7 @@ from vibrojax.stepping.forcing import Forcing, forcing, longest_step
 from vibrojax.stepping.gauge import Ruler
 from vibrojax.stepping.measures import Measures
 from vibrojax.stepping.runs import AbstractRun, EqualRun
+from vibrojax.stepping.splitting_step import step_from
 
 States = Float[Array, "states *lanes"]
 Lanes = Float[Array, "*lanes"]
@@ -335,7 +336,7 @@ class ExponentialSplitting(AbstractStepper):
         self, motion: Motion, start: Scalar, duration: Scalar, state: State, solver_state: Any
     ) -> State:
         """Drift, kick, drift."""
-        return splitting.step_from(motion, state, start, duration)
+        return step_from(motion, state, start, duration)
 
     def steps(self, motion: Motion) -> int:
         """As many as the contact and the tolerance, or `steps_per_period`, ask for."""
