@@ -338,7 +338,7 @@ def test_wrong_axes(values):
 
 def test_ratios_to_a_natural_frequency_that_does_not_exist_are_refused():
     pendulum = vj.default_pendulum(num_links=2)
-    with pytest.raises(ValueError, match="^This system has no natural frequency: give frequency"):
+    with pytest.raises(ValueError, match=r"^This system has no natural frequency: give frequency"):
         vj.frequency_sweep(pendulum, frequency_ratio=[0.9])
 
 

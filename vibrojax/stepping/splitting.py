@@ -76,7 +76,7 @@ def drift(angular_frequency: Modes, damping_ratio: Modes, time: Lanes) -> Drift:
 
 
 def check_uncoupled(equations: LinearEquations) -> None:
-    """Raise `ValueError` unless every mode moves alone, about 0: the drift takes them one by one."""
+    """Raise `ValueError` unless every mode moves alone, about 0: they drift one by one."""
     if not equations.is_modal:
         raise ValueError(
             "ExponentialSplitting needs modes that neither damping nor internal states couple, of "
