@@ -267,3 +267,15 @@ def test_wrong_arguments_are_refused(rig):
     refused(r"^contact_fraction must be a list", contact_fraction=np.array([[0.2, 0.1]]))
     refused(r"^frequency_ratio must increase", frequency_ratio=[1.1, 1.0])
     refused(r"^Give frequency_ratio or frequency", frequency=[5.0])
+
+
+def test_oscillators_without_a_force_are_one_mode_that_moves_alone():
+    """Else they would have no single-contact motions, and Hertz's law no splitting."""
+    stop = vj.Stop(None, 0.5, vj.KelvinVoigt(10.0, 0.1))
+    oscillator = vj.model.Oscillator(2.0, 3.0, 0.1, stops=stop, drive=vj.PointForce(0.2))
+    assert check_single_stop(equations_of(as_arrays(oscillator))).is_modal
+    pulled = replace(oscillator, force=0.1)
+    with pytest.raises(ValueError, match="need a system without a constant force"):
+        check_single_stop(equations_of(as_arrays(pulled)))
+    pair = vj.Joined(vj.model.Oscillator(1.0, 1.0), vj.model.Oscillator(1.0, 2.0), stop)
+    assert equations_of(as_arrays(pair)).load is None

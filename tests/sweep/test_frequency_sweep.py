@@ -336,6 +336,12 @@ def test_wrong_axes(values):
         vj.frequency_sweep(build, frequency_ratio=[1.0], gap=values)
 
 
+def test_ratios_to_a_natural_frequency_that_does_not_exist_are_refused():
+    pendulum = vj.default_pendulum(num_links=2)
+    with pytest.raises(ValueError, match=r"^This system has no natural frequency: give frequency"):
+        vj.frequency_sweep(pendulum, frequency_ratio=[0.9])
+
+
 def test_wrong_numbers_on_an_axis_are_refused_before_anything_runs(rig):
     with pytest.raises(ValueError, match=r"^taper must be .*, got -0.001"):
         vj.frequency_sweep(lambda taper: rig(taper=taper), frequency_ratio=[1.0], taper=[0, -1e-3])

@@ -44,3 +44,22 @@ def test_who_has_none_spares_the_others(lost, monkeypatch):
         finite = np.isfinite(found).reshape(3, -1).all(axis=1)
         assert finite.tolist() == [True, False, True]
     np.testing.assert_allclose(values[2], [-3, -1])
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        [[0.0, 1.0], [-1.0, -2.0]],  # critical damping
+        [[-3.0, 0.0], [1.0, -3.0]],  # two equal filters in a row
+        [[0.0, 1.0, 0.0], [-4.0, -4.0, 1.0], [0.0, 0.0, -2.0]],
+        [[0.0, 1.0], [-1e8, -2e4]],
+    ],
+)
+def test_eigenvalues_with_one_eigenvector_are_moved_apart(matrix):
+    time = 1 / np.abs(matrix).max() ** 0.5
+    matrix = jnp.asarray(matrix)
+    expected = jax.scipy.linalg.expm(matrix * time)
+    size = jnp.abs(expected).max()
+    for values, vectors in (eigen(matrix), [a[0] for a in jax.vmap(eigen)(matrix[None])]):
+        found = vectors * jnp.exp(values * time) @ jnp.linalg.inv(vectors)
+        np.testing.assert_allclose(found, expected, atol=1e-7 * size)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from vibrojax._tools.checks import check_frequencies, concrete
-from vibrojax.model.systems import AbstractSystem
+from vibrojax.model.systems import AbstractSystem, equation_kinds
 
 DIRECTIONS: dict[str, tuple[str, ...]] = {
     "both": ("forward", "backward"),
@@ -41,3 +41,9 @@ def check_drive(system: AbstractSystem, needing: str = "This study needs") -> No
             f"{needing} a drive with an amplitude above 0, got {system.drive!r}. "
             "Give the system drive=BaseMotion(...) or PointForce(...)."
         )
+
+
+def check_axis(system: AbstractSystem, axis: str) -> None:
+    """Refuse, with a `ValueError`, ratios to a natural frequency that a system does not have."""
+    if axis == "frequency_ratio" and equation_kinds(system).linear_between_contacts is None:
+        raise ValueError("This system has no natural frequency: give frequency in Hz.")

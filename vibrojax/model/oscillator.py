@@ -46,15 +46,16 @@ class Oscillator(AbstractSystem):
     """One or several stops, on either side, with position None."""
     drive: AbstractDrive = eqx.field(default_factory=NoDrive)
     """Base motion, a force on the mass (`PointForce`, its position is not used) or none."""
-    force: Number = number_field("N", default=0.0)
-    """Force that stays the same, towards +x, N: gravity, a preload."""
+    force: Number | None = number_field("N", default=None)
+    """Force that stays the same, towards +x, N: gravity, a preload; None: none."""
 
     def __check_init__(self) -> None:
         """Refuse concrete values that are not an oscillator."""
         check_positive("mass", self.mass, "kg")
         if self.stiffness is not None:
             check_positive("stiffness", self.stiffness, "N/m", "Leave it out for a free body.")
-        check_range("force", self.force, allowed="a finite force in N")
+        if self.force is not None:
+            check_range("force", self.force, allowed="a finite force in N")
         check_not_negative("damping", self.damping, "N s/m")
         check_without_places("an Oscillator", self.stops, "There is one place, the mass.")
 
@@ -75,7 +76,7 @@ class Oscillator(AbstractSystem):
             modal_mass=mass * one,
             stiffness_sign=0 * one if self.stiffness is None else None,
             free=self.stiffness is None,
-            load=self.force / mass * one,
+            load=None if self.force is None else self.force / mass * one,
         )
 
     def _unit_stiffness(self) -> Float[Array, ""]:

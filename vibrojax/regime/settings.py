@@ -9,8 +9,8 @@ from jaxtyping import Float
 from vibrojax._tools.checks import check_choice, check_count, check_range
 from vibrojax._tools.described import AbstractSettings
 from vibrojax._tools.signatures import validated
-from vibrojax.ensemble.frequencies import DIRECTIONS, check_drive
-from vibrojax.model.systems import AbstractSystem, equation_kinds
+from vibrojax.ensemble.frequencies import DIRECTIONS, check_axis, check_drive
+from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.choice import choose_stepper
 from vibrojax.stepping.stepper import AbstractStepper, check_settings
 
@@ -116,9 +116,7 @@ class BasinSettings(AbstractSettings):
 
 def _stepper_of(sample: AbstractSystem, axis: str, *given: Any) -> AbstractStepper:
     check_drive(sample)
-    equations = equation_kinds(sample)
-    if axis == "frequency_ratio" and equations.linear_between_contacts is None:
-        raise ValueError("This system has no natural frequency: give frequency in Hz.")
+    check_axis(sample, axis)
     return choose_stepper(sample, *given)
 
 

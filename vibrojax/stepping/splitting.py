@@ -73,11 +73,12 @@ def drift(angular_frequency: Modes, damping_ratio: Modes, time: Lanes) -> Drift:
 
 
 def check_uncoupled(equations: LinearEquations) -> None:
-    """Raise `ValueError` when the damping couples the modes: the drift takes them one by one."""
+    """Raise `ValueError` unless every mode moves alone, about 0: they drift one by one."""
     if not equations.is_modal:
         raise ValueError(
-            "ExponentialSplitting needs modes that neither damping nor internal states couple. Use "
-            "ExactContact() or a diffrax solver."
+            "ExponentialSplitting needs modes that neither damping nor internal states couple, of "
+            "a body that is held, without a constant force. Use ExactContact(), "
+            "LinearlyImplicit() or a diffrax solver."
         )
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from vibrojax._tools.checks import check_choice, check_count, check_range
 from vibrojax._tools.described import AbstractSettings
 from vibrojax._tools.signatures import validated
-from vibrojax.ensemble.frequencies import DIRECTIONS, check_drive
+from vibrojax.ensemble.frequencies import DIRECTIONS, check_axis, check_drive
 from vibrojax.model.systems import AbstractSystem
 from vibrojax.stepping.choice import choose_stepper
 from vibrojax.stepping.stepper import AbstractStepper, check_settings
@@ -57,10 +57,11 @@ class SweepSettings(AbstractSettings):
     ) -> SweepPlan:
         """Return what is to be done with systems like the sample over the frequencies `grid`.
 
-        `axis` names them. Raises `ValueError` for a system without a drive, or a stepper that
-        cannot take it.
+        `axis` names them. Raises `ValueError` for a system without a drive, or without a natural
+        frequency where a ratio to it is asked for, or a stepper that cannot take it.
         """
         check_drive(sample, "A frequency sweep needs")
+        check_axis(sample, axis)
         return SweepPlan(
             axis=axis,
             grid=grid,
