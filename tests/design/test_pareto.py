@@ -41,6 +41,9 @@ def test_the_front_of_two_bowls(tmp_path):
     assert figure.axes[0].get_xlabel() == "Near (least sought)"
     assert len(figure.axes) == 3
     figure.savefig(tmp_path / "front.png")
+    assert front.design(6) == dict(zip("xy", front.designs[-1].tolist(), strict=True))
+    with pytest.raises(ValueError, match="point must be a whole number from 0 to 6, got 7"):
+        front.design(7)
 
 
 def test_one_is_made_large_within_a_constraint():

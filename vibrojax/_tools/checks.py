@@ -185,7 +185,7 @@ def check_choice(name: str, value: Any, choices: tuple[Any, ...]) -> None:
         _refuse(name, value, f"one of {listed}", "")
 
 
-def check_frequencies(name: str, values: Any, unit: str) -> np.ndarray:
+def check_frequencies(name: str, values: Any, unit: str, advice: str = "Sort it.") -> np.ndarray:
     """Return a frequency axis as a 1-D array: finite, above 0, strictly increasing, not empty.
 
     Raises `ValueError` otherwise.
@@ -197,7 +197,7 @@ def check_frequencies(name: str, values: Any, unit: str) -> np.ndarray:
         raise ValueError(f"{name} must be one-dimensional, got an array of shape {axis.shape}.")
     axis = np.atleast_1d(axis)
     if axis.size == 0:
-        raise ValueError(f"{name} is empty: give at least one value ({unit}).")
+        raise ValueError(f"{name} is empty: give at least one value.")
     for wrong, allowed in ((~np.isfinite(axis), "finite"), (axis <= 0, f"above 0 {unit}")):
         if wrong.any():
             bad = int(np.argmax(wrong))
@@ -207,6 +207,6 @@ def check_frequencies(name: str, values: Any, unit: str) -> np.ndarray:
         bad = int(np.argmax(falls))
         raise ValueError(
             f"{name} must increase strictly, got {axis[bad]} then {axis[bad + 1]} at index "
-            f"{bad + 1}. Sort it; the backward sweep is made for you."
+            f"{bad + 1}. {advice}"
         )
     return axis

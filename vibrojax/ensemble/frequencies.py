@@ -24,9 +24,10 @@ def frequency_axis(
     """
     if (ratio is None) == (frequency is None):
         raise ValueError("Give frequency_ratio or frequency, one of the two.")
+    advice = "Sort it; the backward sweep is made for you."
     if ratio is not None:
-        return "frequency_ratio", check_frequencies("frequency_ratio", ratio, "(ratio)")
-    return "frequency", check_frequencies("frequency", frequency, "Hz")
+        return "frequency_ratio", check_frequencies("frequency_ratio", ratio, "(ratio)", advice)
+    return "frequency", check_frequencies("frequency", frequency, "Hz", advice)
 
 
 def check_drive(system: AbstractSystem) -> None:
