@@ -8,7 +8,12 @@ import numpy as np
 from vibrojax.ensemble.arguments import Dimension
 from vibrojax.maps.measures import PLACED, PLACES, STEPWISE, Measure
 from vibrojax.maps.responses import WHOLE, AbstractMapResponse, Grid
-from vibrojax.results.variables import axis_description, axis_unit, described_statistic
+from vibrojax.results.variables import (
+    axis_description,
+    axis_unit,
+    described_as,
+    described_statistic,
+)
 from vibrojax.steady.kinds import Regime
 
 FAILED, MISSING = 3, 4
@@ -62,8 +67,7 @@ def template_of(
             about = axis_description(name) if values.dtype.kind in "fiu" else {}
             coordinates[name] = ((d.name,), values, about)
     if ways:
-        words = "Direction of the sweep" if way == "direction" else "Along the branch"
-        coordinates[way] = ((way,), np.array(ways), {"long_name": words})
+        coordinates[way] = ((way,), np.array(ways), described_as(way))
     frequencies = ((), grid.values[0]) if grid.single else ((grid.axis,), grid.values)
     coordinates[grid.axis] = (*frequencies, axis_description(grid.axis))
 
