@@ -35,6 +35,8 @@ def test_the_front_of_two_bowls(tmp_path):
     np.testing.assert_allclose(front.designs[:, 0], front.designs[:, 1], atol=2e-3)
     assert max(rigs.batches[1:]) >= 10  # all points side by side
     data = front.to_xarray()
+    for name, variable in data.variables.items():
+        assert {"units", "long_name"} <= variable.attrs.keys(), name
     front.save(tmp_path / "front.nc")
     assert xarray.load_dataset(tmp_path / "front.nc").identical(data)
     figure = front.plot()
