@@ -155,6 +155,7 @@ def test_resampled_dataset(small_branch):
     resampled, folds = small_branch.resample(ratios), small_branch.folds
     assert resampled.amplitude_ratio.dims == ("frequency_ratio", "crossing")
     np.testing.assert_array_equal(resampled.frequency_ratio, ratios)
+    assert resampled.crossing.attrs == {"units": "1", "long_name": "Passage of the branch, from 0"}
     ratio = resampled.frequency_ratio.values
     inside = (ratio > folds.min()) & (ratio < folds.max())
     found = np.isfinite(resampled.amplitude_ratio.values)
@@ -309,6 +310,9 @@ def test_dataset_over_axes(branches):
     np.testing.assert_array_equal(data.gap, GAPS)
     np.testing.assert_array_equal(data.stiffness, STIFFNESSES)
     assert data.folds.sizes["fold"] == max(len(b.folds) for b in branches)
+    assert data.point.attrs == {"units": "1", "long_name": "Point, from 0"}
+    for name, variable in data.variables.items():
+        assert {"units", "long_name"} <= variable.attrs.keys(), name
     for b in branches:
         lane = data.sel(**b.labels)
         count = len(b.values)

@@ -1,5 +1,6 @@
 """Folds as functions of the numbers of the system, and followed in a second one."""
 
+import dataclasses
 import sys
 
 import jax
@@ -129,6 +130,11 @@ def test_a_fold_curve_has_as_many_points_as_are_allowed(
         assert below == (2 if low_ends else 4)
     every = vj.fold_curves(rig, frequency_ratio=bounds, gap=gap)
     assert {curve.endings for curve in every} == {("end of the range", "end of the range")}
+    assert every.to_xarray().attrs["low_ending"] == "end of the range"
+    first, second = every
+    other = dataclasses.replace(second, endings=(few, "end of the range"))
+    attributes = dataclasses.replace(every, curves=(first, other)).to_xarray().attrs
+    assert "low_ending" not in attributes  # it is not that of both
 
 
 @pytest.mark.slow

@@ -910,6 +910,8 @@ def test_comparing_refuses():
     other = vj.frequency_sweep(rig, frequency=[10.0, 12.0], progress=False)
     with pytest.raises(ValueError, match="compare them along the same axis"):
         branch.compare(other)
+    with pytest.raises(ValueError, match="sweep must be along frequency_ratio, as the branch is"):
+        branch.plot(sweep=other)
 
 
 # --------------------------------------------------------------------------- contacts

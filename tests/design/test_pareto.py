@@ -35,12 +35,17 @@ def test_the_front_of_two_bowls(tmp_path):
     np.testing.assert_allclose(front.designs[:, 0], front.designs[:, 1], atol=2e-3)
     assert max(rigs.batches[1:]) >= 10  # all points side by side
     data = front.to_xarray()
+    for name, variable in data.variables.items():
+        assert {"units", "long_name"} <= variable.attrs.keys(), name
     front.save(tmp_path / "front.nc")
     assert xarray.load_dataset(tmp_path / "front.nc").identical(data)
     figure = front.plot()
     assert figure.axes[0].get_xlabel() == "Near (least sought)"
     assert len(figure.axes) == 3
     figure.savefig(tmp_path / "front.png")
+    assert front.design(6) == dict(zip("xy", front.designs[-1].tolist(), strict=True))
+    with pytest.raises(ValueError, match="point must be a whole number from 0 to 6, got 7"):
+        front.design(7)
 
 
 def test_one_is_made_large_within_a_constraint():

@@ -55,6 +55,7 @@ def test_spectrum_and_picture(history):
     assert history.spectrum(span=400.0).frequency[-1] <= 400.0
     labels = [axes.get_ylabel() for axes in history.plot().axes]
     assert labels[0].split() == ["Base", "acceleration", "(m/s2)"]
+    assert len(history.plot("contact_force").axes) == len(labels) - 1  # not once more below
 
 
 @pytest.mark.slow
@@ -167,3 +168,4 @@ def test_shock_response_spectrum_of_a_history(rig, history):
     assert found.maximax[0] == pytest.approx(np.max(np.abs(absolute)), rel=0.1)
     assert found.to_xarray()["maximax"].attrs["units"] == "m/s2"
     assert found.plot().axes[0].get_xlabel() == "Natural frequency (Hz)"
+    assert found.plot().axes[0].lines[0].get_marker() == "o"  # a line of one point is not seen

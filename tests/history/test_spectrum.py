@@ -334,6 +334,9 @@ def test_refusals_of_histories(driven, rig):
     lanes = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), driven)
     with pytest.raises(ValueError, match=r"lanes of shape \(2,\)\. Take one"):
         lanes.spectrum()
+    for read in (lanes.plot, lanes.displacement, lanes.to_xarray):
+        with pytest.raises(ValueError, match="quantities needs one history, got lanes of shape"):
+            read()
     one = jax.tree.map(lambda leaf: leaf[0], lanes)
     np.testing.assert_array_equal(one.spectrum().amplitude, driven.spectrum().amplitude)
 

@@ -359,6 +359,26 @@ def test_a_jump_is_judged_at_the_drive_before_it(make):
     assert "5 points before the fold at 1.16" in early_jumps(usual, folded(1.16), 1.0, 2e-3)[0]
 
 
+@pytest.mark.parametrize(
+    ("parts", "unstable"),
+    [
+        ([[1.0, 1.1, 1.2, 1.1, 1.3]], [0, 0, 1, 0, 0]),
+        # The range ends between the folds: down to the lower one and back, then up from below.
+        ([[1.3, 1.2, 1.1, 1.2, 1.3], [1.0, 1.1, 1.3]], [0, 0, 1, 1, 1, 0, 0, 0]),
+        ([[1.0, 1.1, 1.3], [1.3, 1.2, 1.1, 1.2, 1.3]], [0, 0, 0, 0, 0, 1, 1, 1]),
+        # It begins between them.
+        ([[1.0, 1.1, 1.2, 1.1, 1.0], [1.0, 1.2, 1.3]], [0, 0, 1, 1, 1, 0, 0, 0]),
+        # A part is missing on the way back.
+        ([[1.0, 1.1, 1.2, 1.15], [1.1, 1.05, 1.3]], [0, 0, 1, 1, 1, 0, 0]),
+    ],
+)
+def test_what_is_unstable_of_a_traced_curve(parts, unstable):
+    frequency = np.concatenate(parts)
+    joined = np.concatenate([[True] * (len(part) - 1) + [False] for part in parts])
+    curve = Curve(frequency, frequency[:, None], frequency[:, None], joined)
+    assert curve.unstable.astype(int).tolist() == unstable
+
+
 REFUSED = [
     (dict(drive_amplitude=[1.0], drive_signal="force"), {}, "but the base moves the system"),
     (dict(drive_signal="force"), {}, "but the base moves the system"),

@@ -110,6 +110,7 @@ def test_the_dataset_says_what_it_is(crossed):
     for name, variable in crossed.data_vars.items():
         assert variable.attrs["long_name"], name
         assert variable.attrs["units"], name
+    assert crossed.direction.attrs == {"units": "1", "long_name": "Direction of the sweep"}
     assert crossed.gap.attrs == {"units": "m", "long_name": "Gap"}
     assert crossed.largest_contact_force.attrs["units"] == "N"
     assert crossed.lane_status.attrs["flag_meanings"].split() == [

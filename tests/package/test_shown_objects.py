@@ -15,6 +15,8 @@ from shown import check_result, readable
 from unit_oscillator import oscillator
 
 import vibrojax as vj
+from vibrojax._tools.described import recipe
+from vibrojax.model.systems import as_arrays
 
 LAW = vj.KelvinVoigt(5500.0, 5e-5)
 PARTS = {
@@ -96,6 +98,13 @@ def test_batches_show_their_range_once():
 def test_equal_texts_mean_equal_numbers():
     gap = 4e-4
     assert repr(vj.default_rig(gap=gap)) != repr(vj.default_rig(gap=np.nextafter(gap, 1.0)))
+
+
+def test_recipes_have_the_numbers_of_arrays():
+    rig = vj.default_rig(num_modes=1)
+    assert "gap=0.0004" in recipe(rig)
+    assert recipe(as_arrays(rig)) == recipe(rig)
+    assert "gap=f64[2]" in recipe(vj.default_rig(gap=jnp.array([1e-4, 2e-4])))
 
 
 def test_objects_are_copied_and_pickled():

@@ -575,6 +575,12 @@ def test_summary_has_the_maps_the_effects_and_the_tally():
     assert "46 (95.8 %)" in letters(tally)
 
 
+def test_summary_has_no_cost_that_was_not_counted():
+    changed = over_stiffness()
+    changed["lane_steps"][:] = -1
+    assert "cost" not in plot_map_summary(changed).get_suptitle()
+
+
 def test_summary_draws_the_effect_of_each_parameter():
     dataset = over_stiffness()
     figure = plot_map_summary(dataset)

@@ -203,3 +203,10 @@ def test_modes():
     batch = jax.tree.map(lambda a: a[None], modes)
     with pytest.raises(ValueError, match="batch of beams"):
         batch.plot()
+
+
+def test_periods_have_whole_numbers_beside_them():
+    axes = response().plot("period").axes[0]
+    assert axes.get_ylim()[0] < 0 < axes.get_ylim()[1]
+    ticks = axes.get_yticks()
+    np.testing.assert_array_equal(ticks, np.round(ticks))

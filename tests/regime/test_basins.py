@@ -7,6 +7,8 @@ import pytest
 from splitting_settings import with_settings
 
 import vibrojax as vj
+from vibrojax.model.systems import as_arrays
+from vibrojax.plot.regime import plot_orbits
 from vibrojax.regime.basins_result import boundary_share, standard_error, wilson_interval
 
 X, SPEED = np.linspace(-2.0, 1.0, 11), np.linspace(-2.0, 2.0, 11)
@@ -299,3 +301,40 @@ def test_both_motions_of_the_hysteresis_are_found_and_lie_on_one_branch(rig, sma
     assert len(found.plot_orbits().axes[0].lines) == 4
     with pytest.raises(ValueError, match="not two numbers"):
         found.plot()
+
+
+def by_hand(axes, period):
+    """Basins of three starts at every place of one axis, or of none."""
+    *over, found = np.shape(period)
+    there = np.where(np.array(period) < 0, np.nan, 1e-3)
+    names = ("mean_displacement", "strain_power_rms", "amplitude_ratio", "contact_force")
+    return vj.regime.Basins(
+        axes=axes,
+        starts={},
+        start_states=np.zeros((3, 2)),
+        sampling="random",
+        attractor=np.ones((*over, 3), int),
+        period=np.array(period),
+        cross_well=np.zeros_like(period, bool),
+        **dict.fromkeys(names, there),
+        initial_state=np.zeros((*over, found, 2)),
+        periods_marched=np.ones((*over, 3), int),
+        systems=jax.tree.map(lambda a: a[None], as_arrays(vj.default_rig(num_modes=1))),
+        frequency_axis="frequency_ratio",
+        frequencies=np.array([1.1]),
+        units={},
+        attributes={},
+    )
+
+
+def test_an_attractor_that_only_another_place_has_is_no_attractor():
+    found = by_hand({"gap": np.array([1e-4, 2e-4])}, [[1, 2], [1, -1]])
+    assert found.name_of(2, (0,)) == "period 2"
+    with pytest.raises(ValueError, match="attractor must be a whole number from 1 to 1, got 2"):
+        found.name_of(2, (1,))
+
+
+def test_a_picture_of_orbits_at_one_place_begins_with_no_mark():
+    drawn = by_hand({}, [1]).to_xarray()
+    figure = plot_orbits(drawn, [(np.zeros(5), np.ones(5))], ["period 1"], 4)
+    assert figure.axes[0].get_title("left") == "dots: drive phase 0"

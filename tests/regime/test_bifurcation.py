@@ -105,3 +105,19 @@ def test_dataset_and_picture(diagram):
 def test_wrong_input_is_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         vj.bifurcation_diagram(oscillator, **with_settings(vj.RegimeSettings, settings))
+
+
+def test_directions_have_a_long_name():
+    lanes, kinds = (2, 3), ("period", "regime", "lyapunov_exponent", "lyapunov_standard_error")
+    diagram = vj.regime.BifurcationDiagram(
+        parameter="frequency",
+        values=np.arange(1.0, 4.0),
+        directions=("forward", "backward"),
+        axes={},
+        variables={name: np.zeros(lanes, int) for name in kinds},
+        orders=None,
+        ratio_units="1",
+        attributes={},
+    )
+    about = diagram.to_xarray()["direction"].attrs
+    assert about == {"units": "1", "long_name": "Direction of the sweep"}

@@ -109,8 +109,19 @@ def in_short(value: Any) -> str:
 
 
 def recipe(value: Any) -> str:
-    """Return the text from which Python makes the value again, as files keep it."""
-    return eqx.tree_pformat(value) if isinstance(value, eqx.Module) else repr(value)
+    """Return the text from which Python makes the value again, as files keep it.
+
+    Of arrays of several numbers it has the shape alone.
+    """
+    if not isinstance(value, eqx.Module):
+        return repr(value)
+    return eqx.tree_pformat(jax.tree.map(_plain, value))
+
+
+def _plain(leaf: Any) -> Any:
+    """Return an array of one number as that number, for else its text says only that it is one."""
+    known = isinstance(leaf, jax.Array | np.ndarray | np.generic) and not isinstance(leaf, Tracer)
+    return leaf.item() if known and not np.ndim(leaf) else leaf
 
 
 def provenance(study: str, rig: str) -> dict[str, str]:

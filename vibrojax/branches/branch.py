@@ -25,6 +25,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+ENDINGS = {
+    "status": "How the branch ended",
+    "sentence": "How the branch ended, in words",
+    "ticks": "Motions solved for",
+}
+"""What a dataset of several branches says of each."""
+
+
 class Branch(BranchPoints, AbstractSaved):
     """Periodic responses of one system along a branch, stable and unstable, in order of arclength.
 
@@ -84,7 +92,8 @@ class Branch(BranchPoints, AbstractSaved):
 
         Isolas that were found are drawn too. `sweep`, a `FrequencyResponse`, is laid over it; with
         `band`, of `vj.design.band`, what tolerances may make of the curve is shaded. Raises
-        `ValueError` for an unknown variable, or a band along another number or without it.
+        `ValueError` for an unknown variable, a sweep along another number or of several systems, or
+        a band along another number or without the variable.
         """
         if band is not None and (
             getattr(band, "attrs", {}).get("axis") != self.axis or f"{variable}_change" not in band
@@ -109,6 +118,10 @@ def _picture(
     laid = None if sweep is None else sweep.to_xarray()
     if laid is not None and variable not in laid:
         raise ValueError(f"A sweep has no {variable}: draw the branch without it.")
+    if sweep is not None and sweep.axis != branches[0].axis:
+        raise ValueError(
+            f"sweep must be along {branches[0].axis}, as the branch is, got one along {sweep.axis}."
+        )
     if sweep is not None and any(len(values) > 1 for values in sweep.axes.values()):
         raise ValueError("sweep must be of one system: pick one value of every axis.")
     from vibrojax.plot.branches import plot_branches
@@ -161,9 +174,12 @@ class Branches(eqx.Module):
         # Numbered points, so that shorter branches are filled up with NaN.
         parts = [p.assign_coords({d: np.arange(p.sizes[d]) for d in p.dims}) for p in parts]
         stacked = xarray.concat(parts, "lane", join="outer", combine_attrs="drop_conflicts")
-        for name in ("status", "sentence"):
-            stacked[name] = ("lane", [str(getattr(b, name)) for b in self.branches])
-        stacked["ticks"] = ("lane", [b.ticks for b in self.branches])
+        for name, words in ENDINGS.items():
+            about = {"units": "1", "long_name": words}
+            stacked[name] = ("lane", [getattr(b, name) for b in self.branches], about)
+        for name in parts[0].dims:
+            words = f"{str(name).replace('_', ' ').capitalize()}, from 0"
+            stacked[name].attrs |= {"units": "1", "long_name": words}
         names = list(self.axes)
         grid = np.indices(self.shape).reshape(len(names), -1)
         stacked = stacked.assign_coords(

@@ -108,7 +108,9 @@ class FoldCurves(eqx.Module):
         parts = [c.to_xarray() for c in self.curves]
         # Numbered points, so that shorter curves are filled up with NaN.
         parts = [p.assign_coords(point=np.arange(p.sizes["point"])) for p in parts]
-        data = xarray.concat(parts, "fold", join="outer") if parts else xarray.Dataset()
+        if not parts:
+            return xarray.Dataset(attrs=self.branch.attributes)
+        data = xarray.concat(parts, "fold", join="outer", combine_attrs="drop_conflicts")
         return data.drop_vars("point", errors="ignore").assign_attrs(self.branch.attributes)
 
     def plot(self) -> "Figure":

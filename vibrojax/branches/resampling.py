@@ -50,7 +50,7 @@ def resample(branch: BranchPoints, values: Any) -> "xarray.Dataset":
     }
     coordinates: dict[str, Any] = {
         branch.axis: (branch.axis, values, axis_description(branch.axis)),
-        "crossing": np.arange(crossings),
+        "crossing": ("crossing", np.arange(crossings), described_as("crossing")),
     }
     return xarray.Dataset(data, coordinates, attrs=dict(branch.attributes))
 

@@ -50,6 +50,17 @@ OUTPUTS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "tried_objectives": (("evaluation", "objective"), OWN, "Objectives of the design tried"),
 }
 
+AXES = {
+    "variable": "Number of the rig",
+    "variable_2": "Number of the rig",
+    "constraint": "Constrained function",
+    "objective": "Objective",
+    "evaluation": "Design tried, from 1",
+    "end": "Number of the search",
+    "side": "Neighbour of the best design, 1 or 2",
+    "point": "Point along the front, from 1",
+}
+
 
 def output_dataset(
     values: Mapping[str, Any], axes: Mapping[str, Sequence[Any]], attributes: Mapping[str, Any]
@@ -68,5 +79,10 @@ def output_dataset(
             array = np.asarray(given).reshape([len(axes[axis]) for axis in over])
             array = array.astype(int) if array.dtype == bool else array
             data[name] = (over, array, {"units": units, "long_name": long_name})
-    units = ("variable", [axis_unit(name) for name in axes["variable"]])
-    return xarray.Dataset(data, {**axes, "variable_units": units}, attrs=dict(attributes))
+    units = [axis_unit(name) for name in axes["variable"]]
+    coordinates: dict[str, Any] = {
+        "variable_units": ("variable", units, {"units": "1", "long_name": "Unit of the number"})
+    }
+    for name, places in axes.items():
+        coordinates[name] = (name, places, {"units": "1", "long_name": AXES[name]})
+    return xarray.Dataset(data, coordinates, attrs=dict(attributes))

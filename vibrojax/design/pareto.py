@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vibrojax._tools.checks import check_count, nearest
+from vibrojax._tools.checks import check_count, check_index, nearest
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
 from vibrojax.design.constraints import Constraint, Goal, named_functions, words_for
@@ -66,8 +66,13 @@ class ParetoFront(AbstractSaved):
         """How many designs were tried."""
         return len(self.tried)
 
+    @validated
     def design(self, point: int) -> dict[str, float]:
-        """Return the numbers of a point, counted from 0 along the front."""
+        """Return the numbers of a point, counted from 0 along the front.
+
+        Raises `ValueError` where there is no such point.
+        """
+        check_index("point", point, len(self.values))
         return dict(zip(self.names, self.designs[point].tolist(), strict=True))
 
     def to_xarray(self) -> "xarray.Dataset":

@@ -172,7 +172,7 @@ class History(SampledMotion):
             history.poincare("bearing_angle", level=0.0)
 
         Parameters:
-            quantity: as for `quantity`, but not the acceleration or a force; drawn by `plot`.
+            quantity: `displacement` or an observable, as for `quantity`; drawn by `plot`.
             level: value at whose crossings the motion is read, in the unit of the quantity. None:
                 it is read whenever the drive has the given phase.
             direction: crossings counted: `upwards`, `downwards` or `both`.

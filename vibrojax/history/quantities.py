@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from vibrojax._tools.checks import nearest
 from vibrojax._tools.compiled import compiled
-from vibrojax.history.samples import SampledMotion
+from vibrojax.history.samples import SampledMotion, check_one_history
 from vibrojax.measured.units import UNITS, unit_named
 from vibrojax.model.equations import AbstractEquations
 from vibrojax.results.variables import VARIABLES
@@ -137,7 +137,11 @@ def observable_motion(history: SampledMotion, name: str) -> Motions:
 
 
 def displacement_of(history: SampledMotion, position: ArrayLike | None = None) -> Motions:
-    """Return the displacement, velocity and acceleration of a history."""
+    """Return the displacement, velocity and acceleration of a history.
+
+    Raises `ValueError` for lanes, or a position where there is none.
+    """
+    check_one_history(history, "quantities")
     equations = history.motion.equations
     if position is None and equations.linear_between_contacts is None:
         return observable_motion(history, "displacement")
@@ -150,8 +154,9 @@ def quantity_of(
 ) -> tuple[Any, Any]:
     """Return a quantity and its rate; None for the rate of what may jump.
 
-    Raises `ValueError` for an unknown name or for a position where there is none.
+    Raises `ValueError` for lanes, an unknown name, or a position where there is none.
     """
+    check_one_history(history, "quantities")
     equations = history.motion.equations
     check_quantity(equations, name)
     if name == "contact_force":

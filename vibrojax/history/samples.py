@@ -57,6 +57,15 @@ class SampledMotion(eqx.Module):
         return self.system.shape_at(position)
 
 
+def check_one_history(history: SampledMotion, what: str) -> None:
+    """Raise `ValueError` for the lanes of several histories; one may be traced."""
+    if lanes := np.shape(history.time)[:-1]:
+        raise ValueError(
+            f"Reading the {what} needs one history, got lanes of shape {lanes}. Take one: "
+            "jax.tree.map(lambda a: a[0], history)."
+        )
+
+
 def times_of(history: SampledMotion, what: str) -> Float[np.ndarray, " samples"]:
     """Return the times (s) of one finished history.
 
@@ -64,7 +73,7 @@ def times_of(history: SampledMotion, what: str) -> Float[np.ndarray, " samples"]
     """
     if is_traced(history.time) or np.ndim(history.time) != 1:
         raise ValueError(
-            f"The {what} are those of one history outside jit and vmap, got lanes of shape "
+            f"Reading the {what} needs one history outside jit and vmap, got lanes of shape "
             f"{np.shape(history.time)[:-1]}. Take one: jax.tree.map(lambda a: a[0], history)."
         )
     if int(history.status) != Status.completed.value:

@@ -12,7 +12,7 @@ from vibrojax.history.quantities import (
     quantity_of,
     unit_and_label,
 )
-from vibrojax.history.samples import SampledMotion, times_of
+from vibrojax.history.samples import SampledMotion, check_one_history, times_of
 from vibrojax.model.drives import AbstractSignal, BaseMotion
 
 Signal = tuple[np.ndarray, str, str]
@@ -21,6 +21,7 @@ Signal = tuple[np.ndarray, str, str]
 
 def signals_of(history: SampledMotion, quantity: str, position: ArrayLike | None) -> list[Signal]:
     """Return a quantity and the forces of the stops; see `History.plot`."""
+    check_one_history(history, "quantities")
     check_quantity(history.motion.equations, quantity)
     position = history.system.reported_place if position is None else position
     check_one("position", position, "place x/L")
@@ -29,7 +30,9 @@ def signals_of(history: SampledMotion, quantity: str, position: ArrayLike | None
     values, _ = quantity_of(history, quantity, None if nowhere else position)
     units, label = unit_and_label(quantity)
     forces = np.asarray(history.contact_force)
-    below = [(forces, *QUANTITIES["contact_force"])] if forces.shape[1] else []
+    # Of one stop it would be the same once more.
+    others = forces.shape[1] - (quantity == "contact_force")
+    below = [(forces, *QUANTITIES["contact_force"])] if others > 0 else []
     signal = isinstance(history.motion.waveform, AbstractSignal)
     driven = [input_of(history)] if signal and history.motion.drive.signal_factor else []
     return [*driven, (np.asarray(values), units, label + place), *below]

@@ -54,12 +54,22 @@ class Curve(NamedTuple):
 
     @property
     def unstable(self) -> np.ndarray:
-        """Whether each point lies on the way back between two folds."""
-        if len(self.frequency) < 2:
-            return np.zeros(len(self.frequency), bool)
-        change = np.append(np.diff(self.frequency), 0.0)
+        """Whether each point lies on the way back behind a fold.
+
+        A part that leads from one end of the range to the same one began with stable motions.
+        """
+        frequency = self.frequency
+        if len(frequency) < 2:
+            return np.zeros(len(frequency), bool)
+        change = np.append(np.diff(frequency), 0.0)
         change[~self.continues] = np.append(0.0, change)[:-1][~self.continues]
-        forth = np.sign(self.frequency[-1] - self.frequency[0])
+        forth = np.full(len(frequency), np.sign(frequency[-1] - frequency[0]))
+        (stops,) = np.nonzero(~self.continues)
+        for first, last in zip([0, *(stops[:-1] + 1)], stops, strict=False):
+            ends = frequency[[first, last]]
+            if np.isclose(ends[:, None], [frequency.min(), frequency.max()]).any(axis=1).all():
+                way = change[first] if np.isclose(*ends) else ends[1] - ends[0]
+                forth[first : last + 1] = np.sign(way)
         return change * forth < 0
 
 

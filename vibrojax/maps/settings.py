@@ -54,9 +54,9 @@ def settings_of(spec: MapSpec, maker: RigMaker) -> dict[str, Any]:
 
 def _fixed(value: Any) -> str:
     """A fixed argument or a system in words, and what stands for every digit of it and its code."""
-    # Not its repr, which is for people and may change: a store is known by this text.
+    # Neither repr nor recipe, which are for people and may change: a store is known by this text.
     if isinstance(value, eqx.Module):
-        return f"{recipe(value)} {value_digest(value)}"
+        return f"{eqx.tree_pformat(value)} {value_digest(value)}"
     if callable(value):
         return f"{getattr(value, '__name__', 'function')} {value_digest(value)}"
     return repr(value)

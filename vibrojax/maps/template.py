@@ -12,6 +12,7 @@ from vibrojax.results.variables import (
     DIFFERENTIATED,
     axis_description,
     axis_unit,
+    described_as,
     described_statistic,
 )
 from vibrojax.steady.kinds import Regime
@@ -67,8 +68,7 @@ def template_of(
             about = axis_description(name) if values.dtype.kind in "fiu" else {}
             coordinates[name] = ((d.name,), values, about)
     if ways:
-        words = "Direction of the sweep" if way == "direction" else "Along the branch"
-        coordinates[way] = ((way,), np.array(ways), {"long_name": words})
+        coordinates[way] = ((way,), np.array(ways), described_as(way))
     frequencies = ((), grid.values[0]) if grid.single else ((grid.axis,), grid.values)
     coordinates[grid.axis] = (*frequencies, axis_description(grid.axis))
 

@@ -172,8 +172,8 @@ def _from_zero(axes: Axes, variable: str) -> None:
     if variable == "status":
         shown = (Status.settled, *UNSETTLED)
         axes.set_yticks([s.value for s in shown], [s.name for s in shown])
-    elif variable == "period":
+        return
+    if variable == "period":
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    else:
-        top = max(axes.get_ylim()[1], 1e-12)
-        axes.set_ylim(-0.02 * top, top)  # markers at zero are seen whole
+    top = max(axes.get_ylim()[1], 1e-12)
+    axes.set_ylim(-0.02 * top, top)  # markers at zero are seen whole

@@ -242,7 +242,8 @@ def plot_shock(spectrum: xarray.Dataset) -> Figure:
     colors = dict(zip(names, ("black", "blue", "orange"), strict=True))
     for name, (words, style, width) in names.items():
         values = np.where(spectrum[name] > 0, spectrum[name], np.nan)
-        line = {"linestyle": style, "linewidth": width, "color": COLORS[colors[name]]}
+        line: dict[str, Any] = {"linestyle": style, "linewidth": width}
+        line |= {"color": COLORS[colors[name]], "marker": None if len(values) > 1 else "o"}
         axes.loglog(spectrum["frequency"], values, label=words, **line)
     damping = f"Damping ratio of the oscillators {spectrum.attrs['damping_ratio']:g}"
     return finish(axes, label_for(spectrum["frequency"]), label_for(spectrum["maximax"]), damping)

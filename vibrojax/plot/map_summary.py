@@ -213,8 +213,10 @@ def _heading(dataset: xarray.Dataset, name: str, tally: dict[str, int]) -> str:
         shares = ", ".join(f"{n} {k} ({100 * n / total:.1f} %)" for k, n in tally.items())
         lines.append(f"{what}: {shares}")
     if cost := next((c for c in ("lane_steps", "steps") if c in dataset), None):
-        total = np.nansum(dataset[cost].values.astype(float))
-        lines[-1] += f"; cost {float(f'{total:.3g}'):,.0f} steps"
+        steps = dataset[cost].values.astype(float)
+        total = np.sum(steps, where=steps > 0)  # -1 where they were not counted
+        if total:
+            lines[-1] += f"; cost {float(f'{total:.3g}'):,.0f} steps"
     if rig := str(dataset.attrs.get("rig", "")):
         rig = " ".join(rig.split()).replace("( ", "(")
         lines.append(textwrap.shorten(f"rig: {rig}", LINE, placeholder=" …"))

@@ -281,7 +281,7 @@ def plot_orbits(
         axes.plot(across, along, linewidth=2.0, label=label, **style)
         strobed = slice(0, -1, samples)
         axes.plot(across[strobed], along[strobed], "o", color=style["color"], markersize=7)
-    title = f"{chosen_in(basins)}; dots: drive phase 0"
+    title = [chosen_in(basins), "dots: drive phase 0"]
     if lost := float(basins["diverged_share"]):
-        title += f"; {100 * lost:.3g} % of starts diverged"
-    return finish(axes, "Displacement (mm)", "Velocity (m/s)", title)
+        title.append(f"{100 * lost:.3g} % of starts diverged")
+    return finish(axes, "Displacement (mm)", "Velocity (m/s)", "; ".join(filter(None, title)))

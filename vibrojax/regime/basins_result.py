@@ -183,11 +183,12 @@ class Basins(AbstractSaved):
         Attractors, from 1, that are alike in this are distinguished by their mean displacements.
         Raises `ValueError` for one that is not there.
         """
-        *over, found = self.period.shape
+        over = self.period.shape[:-1]
         if len(index) != len(over):
             raise ValueError(f"index must hold {len(over)} whole numbers, got {index!r}.")
         for place, size in zip(index, over, strict=True):
             check_index("index", place, size)
+        found = int(np.sum(self.period[index] >= 0))
         check_index("attractor", attractor, found, first=1)
 
         def words(k: int) -> str:
@@ -196,7 +197,7 @@ class Basins(AbstractSaved):
             return kind + (", crosses the barrier" if self.cross_well[(*index, k)] else "")
 
         own = words(attractor - 1)
-        alike = sum(words(k) == own for k in range(self.period.shape[-1]))
+        alike = sum(words(k) == own for k in range(found))
         mean = self.mean_displacement[(*index, attractor - 1)]
         return f"{own}, mean {mean:.3g} m" if alike > 1 else own
 
@@ -330,7 +331,8 @@ class Basins(AbstractSaved):
         """
         if not self.starts:
             raise ValueError("The starts are states, not two numbers: use plot_orbits().")
-        lane, names = self._drawn(place_of(self.axes, selection), self.period.shape[-1])
+        index = place_of(self.axes, selection)
+        lane, names = self._drawn(index, int(np.sum(self.period[index] >= 0)))
         from vibrojax.plot.regime import plot_basins
 
         return plot_basins(lane, list(self.starts), names)

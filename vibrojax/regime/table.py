@@ -66,7 +66,7 @@ class AbstractRegimeTable(AbstractSaved):
         if self.orders is not None and "spectrum" in self.variables:
             own["order"] = self.orders
         found = xarray.Dataset(data, own, attrs=dict(self.attributes))
-        for name in {"strobe", "order"} & set(own):
+        for name in {"strobe", "order", "direction"} & set(own):
             found[name].attrs |= described_as(name)
         return found
 

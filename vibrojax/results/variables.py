@@ -82,6 +82,7 @@ VARIABLES = {
     "stop": Variable("1", "Stop, from 1"),
     "cycle": Variable("1", "Cycle, from 1"),
     "point": Variable("1", "Point, from 1"),
+    "crossing": Variable("1", "Passage of the branch, from 0"),
     "initial_state": Variable("m, m/s", "Modal displacements, then velocities, at phase 0"),
     "start_state": Variable("m, m/s", "State from which the search marched"),
     "rate": Variable("1/s", "Rate at which neighbours part, by drive period"),

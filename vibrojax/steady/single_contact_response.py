@@ -17,7 +17,7 @@ from vibrojax.ensemble.frequencies import check_drive, frequency_axis
 from vibrojax.model.drives import AbstractDrive
 from vibrojax.model.systems import AbstractSystem, as_arrays, equations_of
 from vibrojax.results.saving import AbstractSaved
-from vibrojax.results.variables import described_as
+from vibrojax.results.variables import described_as, with_unit
 from vibrojax.steady.single_contact import (
     DEPTH,
     RESPONSE,
@@ -111,7 +111,7 @@ class SingleContactResponse(AbstractSaved):
         return self._surface().folds(gap)
 
     def _checked(self, gap_ratio: float) -> float:
-        check_range("gap_ratio", gap_ratio, 0.0, allowed=f"at least 0 ({self.ratio_units})")
+        check_range("gap_ratio", gap_ratio, 0.0, allowed=with_unit("at least 0", self.ratio_units))
         return float(gap_ratio)
 
     def _surface(self) -> GapSurface:
