@@ -53,7 +53,7 @@ CALLS = {
     "frequency_ratio must be a number or a list of numbers, got '1.1'.": lambda: vj.frequency_sweep(
         RIG, frequency_ratio="1.1"
     ),
-    "frequency_ratio is empty: give at least one value.": lambda: vj.frequency_sweep(
+    "frequency_ratio is empty: give at least one value (ratio).": lambda: vj.frequency_sweep(
         RIG, frequency_ratio=[]
     ),
     "Unknown argument 'frequency_rato'": lambda: vj.frequency_sweep(
