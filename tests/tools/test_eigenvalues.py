@@ -59,7 +59,8 @@ def test_eigenvalues_with_one_eigenvector_are_moved_apart(matrix):
     time = 1 / np.abs(matrix).max() ** 0.5
     matrix = jnp.asarray(matrix)
     expected = jax.scipy.linalg.expm(matrix * time)
-    size = jnp.abs(expected).max()
-    for values, vectors in (eigen(matrix), [a[0] for a in jax.vmap(eigen)(matrix[None])]):
+    size = float(jnp.abs(expected).max())
+    in_batch = [a[0] for a in jax.vmap(eigen)(matrix[None])]
+    for values, vectors in (eigen(matrix), in_batch):
         found = vectors * jnp.exp(values * time) @ jnp.linalg.inv(vectors)
         np.testing.assert_allclose(found, expected, atol=1e-7 * size)

@@ -154,11 +154,11 @@ class LinearlyImplicit(AbstractStepper):
 
 def _without_memory(equations: AbstractEquations) -> AbstractEquations:
     if equations.memory_size:
-        owner = next((type(s.law).__name__ for s in equations.stops if s.memory_size), None)
+        laws = (f"a {type(s.law).__name__}" for s in equations.stops if s.memory_size)
         raise ValueError(
-            "LinearlyImplicit takes systems and contact laws without internal states, but a "
-            f"{owner or type(equations).__name__} has one. Use simulate(..., "
-            "stepper=diffrax.Kvaerno5())."
+            "LinearlyImplicit takes systems and contact laws without internal states, but "
+            f"{next(laws, 'this system')} has one. Use ExactContact() where the stops are linear, "
+            "else continue_response, or simulate(..., stepper=diffrax.Kvaerno5())."
         )
     return equations
 
