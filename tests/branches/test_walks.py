@@ -400,6 +400,42 @@ def test_a_hairpin_within_a_step_is_seen():
     assert search.turns_round(motion(0.2, -1.0), motion(0.1, 3.0))
 
 
+def test_a_part_of_the_curve_beside_the_last_motions_is_not_the_next_step():
+    """On the curve itself the ways on from one motion and back from the other meet half-way."""
+    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
+    free, none = contacts.Contacts((), 0, 0.0), np.zeros(0)
+
+    def motion(across, slope, way=0.01):
+        at, along = np.array([way, across + 1.0]), np.array([np.cos(slope), np.sin(slope)])
+        return OnCurve(free, none, at, 1.0, along, none, 0.0, np.eye(2), way=way)
+
+    last = motion(0.0, 0.0, 0.0)
+    bent = 0.5  # rad, over the step
+    on_arc = motion(0.01 * np.tan(bent / 2), bent)
+    assert search.comes_next(on_arc, last, 0.01)
+    assert not search.comes_next(motion(0.008, 0.0), last, 0.01)
+    assert not search.comes_next(motion(-0.004, bent), last, 0.01)
+
+
+@pytest.mark.slow
+def test_a_walk_keeps_to_its_own_part_where_another_one_comes_near():
+    """Else it turns round there, at what looks like a fold, and goes the same way again."""
+    rig = between_stops(
+        vj.default_rig(taper=0.293866398532816, mass_ratio=2.52171006023559).beam,
+        [(0.954970242983179, 0.00140651880992893, 310376.971940959, 0.0561080753515408, 1)],
+        0.00259675071172476,
+        0.00492676474500262,
+    )
+    branch = vj.continue_response(
+        rig,
+        frequency_ratio=vj.Range(0.6, 2.0),
+        settings=vj.ContinuationSettings(longest_step=0.03),
+    )
+    assert all(point.refined for point in branch.special_points)
+    folds = np.sort(branch.folds)
+    assert np.diff(folds).min() > 1e-7  # none of them is passed twice
+
+
 def test_the_shortest_step_is_never_too_long_by_round_off():
     """A contact may change by any share within it; by how much it is gone is known to round-off."""
     search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)

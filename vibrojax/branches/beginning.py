@@ -3,12 +3,14 @@
 import numpy as np
 from jaxtyping import Float
 
+from vibrojax.branches.contacts import Contacts
 from vibrojax.branches.continuation import Ending
-from vibrojax.branches.curve_search import FREE, CurveSearch
+from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Steps, at_value
 from vibrojax.branches.walking import FIRST, Walk
 from vibrojax.stepping.contact_phases import ContactPhases
 
+FREE = Contacts((), 0, 0.0)
 WIDER = 1.05
 """How far gaps are opened, over what it takes to touch none."""
 MOST_OPENED = 500

@@ -22,8 +22,6 @@ from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, at_value
 from vibrojax.steady.curve_programs import ACCURATE, LEAST, LEFT, STRAIGHT
 from vibrojax.steady.orbit_curve import Stride
 
-FREE = Contacts((), 0, 0.0)
-
 COLLAPSED = 0.1
 """Share of its duration below which a pair is taken to have vanished."""
 BOUNCED = 1.5
@@ -32,6 +30,8 @@ SWELLED = 0.05
 """Least relative change of a contact's duration that shows whether the curve turned."""
 SKIPPED = 0.25
 """Most that the square of a contact's duration may be off what its rates say, over itself."""
+LEAPT = 0.3
+"""Most that a motion may be off what the directions at it and the last one say, over the step."""
 UNCOUNTED = 1e-12
 """Depth over the amplitude that is no round-off, though a march does not count it."""
 LOOSE = 1e-8
@@ -77,8 +77,11 @@ class CurveSearch:
 
     def apart(self, a: OnCurve, b: OnCurve) -> float:
         """Distance of two motions that are cut at the same drive phase, in arclength."""
-        moved = np.linalg.norm(b.state - a.state) / a.size
-        return float(np.hypot(moved, (b.parameter - a.parameter) / self.scale))
+        return self.size(a, b.state - a.state, b.parameter - a.parameter)
+
+    def size(self, a: OnCurve, state: np.ndarray, parameter: float) -> float:
+        """Size of a change at a motion, in arclength."""
+        return float(np.hypot(np.linalg.norm(state) / a.size, parameter / self.scale))
 
     def ahead(self, a: OnCurve, step: float) -> Ask:
         """The motion a step further on."""
@@ -104,8 +107,7 @@ class CurveSearch:
 
     def solve(self, ask: Ask) -> Steps:
         """Solve for a motion; None where there is none."""
-        (found, *_) = yield from self.every(ask)
-        return found
+        return (yield from self.every(ask))[0]
 
     def every(self, ask: Ask) -> Steps:
         """Solve for a motion and those of its stride; None for the last where there is none."""
@@ -153,9 +155,8 @@ class CurveSearch:
         moved = [a != b for a, b in zip(contacts.stops, found.contacts.stops, strict=True)]
         if sum(moved) != 2:
             return None
-        near = ask._replace(contacts=contacts, times=times)
-        near = near._replace(state=found.state, parameter=found.parameter)
-        return (yield from self.solve(near))
+        near = ask._replace(contacts=contacts, times=times, state=found.state)
+        return (yield from self.solve(near._replace(parameter=found.parameter)))
 
     def near(
         self, state: Float[np.ndarray, " states"], value: float, section: float = 0.0
@@ -165,7 +166,7 @@ class CurveSearch:
         Nothing has to be known of its contacts: marches find them.
         """
         nothing = np.zeros(0)
-        free = FREE._replace(section=section)
+        free = Contacts((), 0, section)
         guess = OnCurve(free, nothing, state, value, 0 * state, nothing, 0.0, np.eye(len(state)))
         for _ in range(TRIES):
             (seen,) = yield Look([guess])
@@ -255,12 +256,18 @@ class CurveSearch:
         if not self.is_sound(found) or self.collapses(last, found, ahead=True):
             return False
         cosine = self.along(last, found.state_along, found.parameter_along)
-        cosine /= np.hypot(
-            np.linalg.norm(found.state_along) / last.size, found.parameter_along / self.scale
-        )
+        cosine /= self.size(last, found.state_along, found.parameter_along)
         near = self.apart(last, found) <= 2.5 * step + 1e-9
         turns = self.turns_round(last, found) or self.turns_twice(last, found, step)
-        return bool(cosine >= STRAIGHT and near and not turns and not self.skips(last, found))
+        leaves = turns or self.leaps(last, found) or self.skips(last, found)
+        return bool(cosine >= STRAIGHT and near and not leaves)
+
+    def leaps(self, last: OnCurve, found: OnCurve) -> bool:
+        """Whether a motion is on another part of the curve, which comes near to the last one's."""
+        half = found.way / 2
+        one, other = self.ahead(last, half), self.ahead(found, -half)
+        off = self.size(last, one.state - other.state, one.parameter - other.parameter)
+        return off > LEAPT * self.apart(last, found) + ACCURATE
 
     def collapses(self, last: OnCurve, found: OnCurve, *, ahead: bool = False) -> bool:
         """Whether a pair has all but vanished: of no duration it fits everywhere.
