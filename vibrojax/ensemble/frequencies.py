@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from vibrojax._tools.checks import check_frequencies, concrete
-from vibrojax.model.systems import AbstractSystem, equation_kinds
+from vibrojax.model.equations import AbstractEquations
+from vibrojax.model.systems import AbstractSystem
 
 DIRECTIONS: dict[str, tuple[str, ...]] = {
     "both": ("forward", "backward"),
@@ -43,7 +44,7 @@ def check_drive(system: AbstractSystem, needing: str = "This study needs") -> No
         )
 
 
-def check_axis(system: AbstractSystem, axis: str) -> None:
+def check_axis(equations: AbstractEquations, axis: str) -> None:
     """Refuse, with a `ValueError`, ratios to a natural frequency that a system does not have."""
-    if axis == "frequency_ratio" and equation_kinds(system).linear_between_contacts is None:
+    if axis == "frequency_ratio" and equations.linear_between_contacts is None:
         raise ValueError("This system has no natural frequency: give frequency in Hz.")

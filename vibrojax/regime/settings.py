@@ -10,7 +10,7 @@ from vibrojax._tools.checks import check_choice, check_count, check_range
 from vibrojax._tools.described import AbstractSettings
 from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.frequencies import DIRECTIONS, check_axis, check_drive
-from vibrojax.model.systems import AbstractSystem
+from vibrojax.model.systems import AbstractSystem, equation_kinds
 from vibrojax.stepping.choice import choose_stepper
 from vibrojax.stepping.stepper import AbstractStepper, check_settings
 
@@ -116,7 +116,7 @@ class BasinSettings(AbstractSettings):
 
 def _stepper_of(sample: AbstractSystem, axis: str, *given: Any) -> AbstractStepper:
     check_drive(sample)
-    check_axis(sample, axis)
+    check_axis(equation_kinds(sample), axis)
     return choose_stepper(sample, *given)
 
 

@@ -12,6 +12,7 @@ from vibrojax._tools.compiled import compiled, is_alone
 from vibrojax._tools.programs import sorted_out
 from vibrojax._tools.signatures import validated
 from vibrojax._tools.warn import warn
+from vibrojax.ensemble.frequencies import check_axis
 from vibrojax.model.laws import is_linear
 from vibrojax.model.states import ABOUT_STATES, as_state
 from vibrojax.model.systems import AbstractSystem, as_arrays, check_is_system, equation_kinds
@@ -87,8 +88,7 @@ def periodic_response(
     arrays, value = as_arrays(system), jnp.asarray(value, float)
     equations = equation_kinds(arrays)
     linear = equations.linear_between_contacts
-    if is_ratio and linear is None:
-        raise ValueError("This system has no natural frequency: give frequency in Hz.")
+    check_axis(equations, name)
     state = None if guess is None else as_state("guess", guess, equations)
     exact = linear is not None and is_exact(system)
     remembers = any(s.memory_size and not is_linear(s.law) for s in equations.stops)

@@ -8,7 +8,7 @@ from vibrojax._tools.checks import check_choice, check_count, check_range
 from vibrojax._tools.described import AbstractSettings
 from vibrojax._tools.signatures import validated
 from vibrojax.ensemble.frequencies import DIRECTIONS, check_axis, check_drive
-from vibrojax.model.systems import AbstractSystem
+from vibrojax.model.systems import AbstractSystem, equation_kinds
 from vibrojax.stepping.choice import choose_stepper
 from vibrojax.stepping.stepper import AbstractStepper, check_settings
 from vibrojax.sweep.plan import SweepPlan
@@ -61,7 +61,7 @@ class SweepSettings(AbstractSettings):
         frequency where a ratio to it is asked for, or a stepper that cannot take it.
         """
         check_drive(sample, "A frequency sweep needs")
-        check_axis(sample, axis)
+        check_axis(equation_kinds(sample), axis)
         return SweepPlan(
             axis=axis,
             grid=grid,
