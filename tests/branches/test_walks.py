@@ -15,6 +15,7 @@ from vibrojax.branches.comparing import COMPARED
 from vibrojax.branches.continuation import Ending
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.exact_branches import crowded
+from vibrojax.branches.neighbours import skips, turns_round
 from vibrojax.branches.on_curve import Look, OnCurve, Seen, Touch
 from vibrojax.branches.refining import special_points_of
 from vibrojax.branches.stretch import turning_share
@@ -131,6 +132,30 @@ def test_points_are_the_same_however_many_are_solved_for_in_one_call(monkeypatch
     np.testing.assert_allclose(strides.values, steps.values, rtol=1e-10)
     np.testing.assert_allclose(strides.peak_ratio, steps.peak_ratio, rtol=1e-9)
     assert len(strides.folds) == len(steps.folds) == 2
+
+
+@pytest.mark.slow
+def test_what_comes_next_is_solved_for_while_motions_are_looked_at(monkeypatch):
+    """It is not asked of a program again, and the points are those found one after another."""
+    begun, solving, seen = [], side_by_side.CurveRigs.solving, side_by_side._seen
+
+    def noted(rigs, lanes, scales, asks):
+        before = rigs.started
+        answers = solving(rigs, lanes, scales, asks)
+        begun.append(rigs.started is before)
+        return answers
+
+    monkeypatch.setattr(side_by_side.CurveRigs, "solving", noted)
+    system, over = vj.default_rig(num_modes=1), vj.Range(0.85, 1.4)
+    settings = vj.ContinuationSettings(longest_step=0.005)
+    meanwhile = vj.continue_response(system, frequency_ratio=over, settings=settings)
+    assert begun.count(True) > len(meanwhile.values) / 16 / 2
+    begun.clear()
+    monkeypatch.setattr(side_by_side, "_seen", lambda *given: seen(*given[:-1], None))
+    afterwards = vj.continue_response(system, frequency_ratio=over, settings=settings)
+    assert not any(begun)
+    np.testing.assert_array_equal(meanwhile.values, afterwards.values)
+    np.testing.assert_array_equal(meanwhile.peak_ratio, afterwards.peak_ratio)
 
 
 def test_multipliers_of_what_is_no_motion_stop_no_walk():
@@ -386,7 +411,6 @@ def test_ways_along_frequencies_and_wider_gaps_run_the_same_programs():
 
 def test_a_hairpin_within_a_step_is_seen():
     """A contact lasts longer at the next motion, whose rates say that it gets shorter."""
-    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
     known = contacts.Contacts((0, 0), 0, 0.0)
 
     def motion(lasts, rate):
@@ -394,10 +418,10 @@ def test_a_hairpin_within_a_step_is_seen():
         return OnCurve(known, times, np.ones(2), 1.0, np.ones(2), along, 0.0, np.eye(2))
 
     last = motion(0.1, 1.0)
-    assert search.turns_round(last, motion(0.2, -3.0))
-    assert not search.turns_round(last, motion(0.2, -0.5))
-    assert not search.turns_round(last, motion(0.104, -3.0))
-    assert search.turns_round(motion(0.2, -1.0), motion(0.1, 3.0))
+    assert turns_round(last, motion(0.2, -3.0))
+    assert not turns_round(last, motion(0.2, -0.5))
+    assert not turns_round(last, motion(0.104, -3.0))
+    assert turns_round(motion(0.2, -1.0), motion(0.1, 3.0))
 
 
 def test_a_part_of_the_curve_beside_the_last_motions_is_not_the_next_step():
@@ -438,7 +462,6 @@ def test_a_walk_keeps_to_its_own_part_where_another_one_comes_near():
 
 def test_the_shortest_step_is_never_too_long_by_round_off():
     """A contact may change by any share within it; by how much it is gone is known to round-off."""
-    search = CurveSearch(np.ones(2), 1.0, TURN, smooth=True, brief=1e-4)
     known = contacts.Contacts((0, 0), 0, 0.0)
 
     def motion(way):
@@ -448,8 +471,8 @@ def test_the_shortest_step_is_never_too_long_by_round_off():
 
     last = motion(0.0)
     for way in np.nextafter(LEAST, (0.0, LEAST, 1.0)):
-        assert not search.skips(last, motion(float(way)))
-    assert search.skips(last, motion(1.1 * LEAST))
+        assert not skips(last, motion(float(way)))
+    assert skips(last, motion(1.1 * LEAST))
 
 
 def test_a_march_begins_again_where_it_went_astray():

@@ -18,18 +18,11 @@ from vibrojax.branches.contacts import (
     same,
     without,
 )
+from vibrojax.branches.neighbours import collapses, skips, turns_round, turns_twice
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, at_value
-from vibrojax.steady.curve_programs import ACCURATE, LEAST, LEFT, STRAIGHT
+from vibrojax.steady.curve_programs import ACCURATE, STRAIGHT
 from vibrojax.steady.orbit_curve import Stride
 
-COLLAPSED = 0.1
-"""Share of its duration below which a pair is taken to have vanished."""
-BOUNCED = 1.5
-"""By how much a pair may last longer where it was about to vanish."""
-SWELLED = 0.05
-"""Least relative change of a contact's duration that shows whether the curve turned."""
-SKIPPED = 0.25
-"""Most that the square of a contact's duration may be off what its rates say, over itself."""
 LEAPT = 0.3
 """Most that a motion may be off what the directions at it and the last one say, over the step."""
 UNCOUNTED = 1e-12
@@ -38,6 +31,9 @@ LOOSE = 1e-8
 """Drive angle, rad, by which a march is off that has gone astray."""
 FARTHEST = 0.16
 """Farthest in arclength that a tangent is followed for a guess."""
+LEAPS, FARTHER = (1e-5, 1e-4, 1e-3, 1e-2, 4e-2), 4.0
+"""Arclengths by which changes of contact are leapt over; farthest that a motion behind is, over
+that."""
 TRIES = 6
 """Marches by which the contacts of a motion near a state are found."""
 
@@ -115,6 +111,13 @@ class CurveSearch:
         self.asked += len(found)
         return [motion if motion.error <= ACCURATE else None for motion in found]
 
+    def onwards(
+        self, last: OnCurve, step: float, longest: float, room: int, bounds: tuple[float, float]
+    ) -> Ask:
+        """The motion a step further on, and behind that up to `room` in all."""
+        ask = self.ahead(last, step)
+        return ask._replace(stride=Stride(last.size, step, longest, *bounds, room))
+
     def further(
         self,
         last: OnCurve,
@@ -130,13 +133,12 @@ class CurveSearch:
         `room` are solved for; what is left of them is worth something only behind the first.
         """
         goal, (low, high) = None, bounds
-        one = Stride(last.size, step, longest, low, high, 1)
-        ask = self.ahead(last, step)._replace(stride=one)
+        ask = self.onwards(last, step, longest, room, bounds)
         if not low < ask.parameter < high:
             goal = high if ask.parameter >= high else low
-            ask, rest, room = self.pinned(last, goal), [], 1
+            ask, rest = self.pinned(last, goal), []
         if not rest:
-            rest = yield from self.every(ask._replace(stride=one._replace(most=room)))
+            rest = yield from self.every(ask)
         found, *rest = rest
         if found is not None and not is_ordered(found.contacts, found.times, self.whole):
             found, rest = (yield from self.swapped(ask, found)), []
@@ -156,7 +158,8 @@ class CurveSearch:
         if sum(moved) != 2:
             return None
         near = ask._replace(contacts=contacts, times=times, state=found.state)
-        return (yield from self.solve(near._replace(parameter=found.parameter)))
+        one = ask.stride._replace(most=1)
+        return (yield from self.solve(near._replace(parameter=found.parameter, stride=one)))
 
     def near(
         self, state: Float[np.ndarray, " states"], value: float, section: float = 0.0
@@ -187,16 +190,37 @@ class CurveSearch:
             guess = found
         return None
 
+    def leapt(self, last: OnCurve, bounds: tuple[float, float]) -> Steps:
+        """Motion a little farther on, whatever its contacts, and what was seen; None for none."""
+        for length in LEAPS:
+            guess = self.ahead(last, length)
+            if not bounds[0] < guess.parameter < bounds[1]:
+                return None
+            section = last.contacts.section
+            found = yield from self.near(guess.state, guess.parameter, section)
+            if found is not None and found.contacts.section != section:
+                found = yield from self.cut_at(found, section)
+            if found is None:
+                continue
+            found = self.oriented(found, last)
+            if found.way <= 0 or self.apart(last, found) > FARTHER * length:
+                continue
+            (seen,) = yield Look([found])
+            if self.fits(found, seen):
+                return replace(found, family=last.family + 1), seen
+        return None
+
     def is_sound(self, found: OnCurve | None) -> bool:
         """Whether a motion was found whose events follow one another."""
         return found is not None and is_ordered(found.contacts, found.times, self.whole)
 
-    def look(self, motions: list[OnCurve], *, halfway: bool) -> Look:
+    def look(self, motions: list[OnCurve], *, halfway: bool, following: Ask | None = None) -> Look:
         """Ask what a march of motions shows; `halfway` also the states half a period behind 0."""
         if not halfway:
-            return Look(motions)
+            return Look(motions, following=following)
         half = self.whole / 2
-        return Look(motions, [half + self.whole * (half < m.contacts.section) for m in motions])
+        sections = [half + self.whole * (half < m.contacts.section) for m in motions]
+        return Look(motions, sections, following)
 
     def fits(self, motion: OnCurve, seen: Seen) -> bool:
         """Whether a motion keeps to its contacts; a march may miss the shallowest."""
@@ -253,13 +277,13 @@ class CurveSearch:
 
     def comes_next(self, found: OnCurve, last: OnCurve, step: float) -> bool:
         """Whether a motion is the one a step behind the last."""
-        if not self.is_sound(found) or self.collapses(last, found, ahead=True):
+        if not self.is_sound(found) or collapses(last, found, ahead=True):
             return False
         cosine = self.along(last, found.state_along, found.parameter_along)
         cosine /= self.size(last, found.state_along, found.parameter_along)
         near = self.apart(last, found) <= 2.5 * step + 1e-9
-        turns = self.turns_round(last, found) or self.turns_twice(last, found, step)
-        leaves = turns or self.leaps(last, found) or self.skips(last, found)
+        turns = turns_round(last, found) or turns_twice(last, found, step)
+        leaves = turns or self.leaps(last, found) or skips(last, found)
         return bool(cosine >= STRAIGHT and near and not leaves)
 
     def leaps(self, last: OnCurve, found: OnCurve) -> bool:
@@ -268,61 +292,6 @@ class CurveSearch:
         one, other = self.ahead(last, half), self.ahead(found, -half)
         off = self.size(last, one.state - other.state, one.parameter - other.parameter)
         return off > LEAPT * self.apart(last, found) + ACCURATE
-
-    def collapses(self, last: OnCurve, found: OnCurve, *, ahead: bool = False) -> bool:
-        """Whether a pair has all but vanished: of no duration it fits everywhere.
-
-        `ahead` of the last motion also whether it bounced back from where it would have.
-        """
-        if last.contacts.stops != found.contacts.stops:
-            return False
-        for (i, j), lasted, lasts in _durations(last, found):
-            shrinks = last.times_along[j] < last.times_along[i]
-            bounces = ahead and shrinks and lasts > BOUNCED * lasted
-            if lasts < COLLAPSED * lasted or bounces:
-                return True
-        return False
-
-    def turns_round(self, last: OnCurve, found: OnCurve) -> bool:
-        """Whether a contact lasts longer where its rates say shorter, or the reverse.
-
-        Then the curve has turned round in between, within less than the step.
-        """
-        if last.contacts != found.contacts:
-            return False
-        rates = last.times_along + found.times_along
-        for (i, j), lasted, lasts in _durations(last, found):
-            change = lasts - lasted
-            if abs(change) > SWELLED * lasted and change * (rates[j] - rates[i]) < 0:
-                return True
-        return False
-
-    def turns_twice(self, a: OnCurve, b: OnCurve, step: float) -> bool:
-        """Whether the parameter may turn round and back between two motions."""
-        if step < 1e-4 or a.parameter_along * b.parameter_along <= 0:
-            return False
-        # The cubic with these values and rates: whether its rate passes zero inside.
-        left, right = a.parameter_along * step, b.parameter_along * step
-        middle = 1.5 * (b.parameter - a.parameter) - (left + right) / 4
-        return bool(middle * left < 0)
-
-    def skips(self, last: OnCurve, found: OnCurve) -> bool:
-        """Whether a contact changes by else than its rates at both motions say, or by too much.
-
-        Squares of durations change evenly, next to touches too. A contact that gets short may split
-        into two for a little while.
-        """
-        if last.contacts != found.contacts:
-            return False
-        for (i, j), lasted, lasts in _durations(last, found):
-            rates = (m.times_along[j] - m.times_along[i] for m in (last, found))
-            before, after = (2 * d * rate for d, rate in zip((lasted, lasts), rates, strict=True))
-            off = lasts**2 - lasted**2 - found.way * (before + after) / 2
-            short, long = sorted((lasted, lasts))
-            is_long = found.way > LEAST + ACCURATE  # not by round-off
-            if abs(off) > SKIPPED * long**2 or (is_long and short < LEFT * long):
-                return True
-        return False
 
     def cut_well(self, motion: OnCurve) -> Steps:
         """Move the section away from where contact changes."""
@@ -392,9 +361,3 @@ class CurveSearch:
         found = replace(found, family=motion.family, way=motion.way, step=motion.step)
         forward = found.times_along @ by_times + found.parameter_along * by_parameter
         return found if forward >= 0 else found.reversed()
-
-
-def _durations(a: OnCurve, b: OnCurve) -> list[tuple[tuple[int, int], float, float]]:
-    """Places of the contacts of two motions with the same ones, and how long each lasts in both."""
-    both = zip(a.pairs, b.pairs, strict=True)
-    return [(one.places, one.length, other.length) for one, other in both]

@@ -118,6 +118,8 @@ class Look(NamedTuple):
     motions: list[OnCurve]
     sections: list[float] | None = None
     """Where their states are wanted too."""
+    following: Ask | None = None
+    """What is asked for next if all is as it should be: a program of one lane begins with it."""
 
 
 class Seen(NamedTuple):

@@ -37,6 +37,8 @@ class CurveRigs:
         """Whether a rig that is known to first order has to be looked at again elsewhere."""
         self.table: LaneTable | None = None
         self.programs: dict[tuple[Any, int], Callable[..., Any]] = {}
+        self.started: tuple[list[np.ndarray], LaneTable] | None = None
+        """Lanes and tries of the program for motions that was started last; its answers."""
 
     def run(self, program: Any, own: LaneTable, tries: LaneTable, *more: np.ndarray) -> LaneTable:
         """Start a program on rigs and tries; by name and width it is looked up once."""
@@ -44,6 +46,15 @@ class CurveRigs:
         if key not in self.programs:
             self.programs[key] = program.bound(own, tries, *more, self.period)
         return self.programs[key](own.numbers, tries.numbers, *more)
+
+    def solving(self, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]) -> LaneTable:
+        """Start to solve for motions, unless that was started last."""
+        tries = _tries(self, scales, asks)
+        these = [lanes, tries.numbers]
+        if self.started is None or not all(map(np.array_equal, these, self.started[0])):
+            own = self.at(lanes, np.array([ask.parameter for ask in asks]))
+            self.started = these, self.run(solve_on_curve, own, tries)
+        return self.started[1]
 
     def at(self, lanes: np.ndarray, parameter: np.ndarray) -> LaneTable:
         """Rigs of lanes near some values, one row each."""
@@ -156,7 +167,8 @@ def _answers(jobs: list[Job], asked: dict[int, Any]) -> dict[int, Any]:
             ]
             whose = np.repeat(lanes, count)
             scales = np.repeat([[*jobs[k].unit, jobs[k].scale] for k in members], count, axis=0)
-            seen = _seen(rigs, whose, scales, every, sections)
+            following = looks[0].following if len(looks) == 1 and not rigs.moves else None
+            seen = _seen(rigs, whose, scales, every, sections, following)
             ends = np.cumsum([0, *count])
             answers |= {k: seen[ends[i] : ends[i + 1]] for i, k in enumerate(members)}
     return answers
@@ -233,8 +245,7 @@ def _nothing(ask: Ask) -> OnCurve:
 def _solve(
     rigs: CurveRigs, lanes: np.ndarray, scales: np.ndarray, asks: list[Ask]
 ) -> list[list[OnCurve]]:
-    own = rigs.at(lanes, np.array([a.parameter for a in asks]))
-    every, steps = rigs.run(solve_on_curve, own, _tries(rigs, scales, asks)).columns()
+    every, steps = rigs.solving(lanes, scales, asks).columns()
     found = []
     for i, ask in enumerate(asks):
         rows = range(i, len(every.error), len(asks))
@@ -269,8 +280,9 @@ def _seen(
     scales: np.ndarray,
     motions: list[OnCurve],
     sections: list[float],
+    following: Ask | None,
 ) -> list[Seen]:
-    """What marches of motions over their period show."""
+    """What marches of motions over their period show; meanwhile what follows is solved for."""
     found: list[Seen] = []
     for rows in filled_up(len(motions), LOOKED_AT).reshape(-1, LOOKED_AT):
         own = [motions[i] for i in rows]
@@ -279,8 +291,10 @@ def _seen(
         tries = _tries(rigs, scales[rows], asks)
         at = np.array([sections[i] for i in rows])
         marching = rigs.run(read_on_curve, table, tries, at)
+        if following is not None:
+            rigs.solving(lanes[:1], scales[:1], [following])
         for motion in own:
-            motion.find_multipliers()  # which another core does meanwhile
+            motion.find_multipliers()  # on this core; the programs run on others
         read: Any = marching.columns()
         log = read.measures.events
         sums = zip(*(column.tolist() for column in read.measures.sums), strict=True)

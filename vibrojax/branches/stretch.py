@@ -9,6 +9,7 @@ import numpy as np
 
 from vibrojax.branches.contacts import duration_row
 from vibrojax.branches.curve_search import CurveSearch
+from vibrojax.branches.neighbours import collapses
 from vibrojax.branches.on_curve import OnCurve, Steps, Touch
 
 ROUNDS = 60
@@ -81,7 +82,7 @@ class Stretch:
                 by_state=0.0, by_times=self.by_times, by_parameter=0.0, value=place
             )
         found = yield from self.search.solve(ask)
-        if found is None or not self.search.is_sound(found) or self.search.collapses(near, found):
+        if found is None or not self.search.is_sound(found) or collapses(near, found):
             return None
         if self.by_times is None:
             found = self.search.oriented(found, self.first)

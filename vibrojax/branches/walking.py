@@ -33,14 +33,12 @@ AHEAD = 16
 """Points that are solved for before they are looked at."""
 MOST_TRIES = 40
 """Tries to pass a touch before the next point has to be found."""
-LEAPS, MOST_LEAPS = (1e-5, 1e-4, 1e-3, 1e-2, 4e-2), 30
-"""Arclengths by which changes of contact are leapt over that cannot be passed one by one; times."""
+MOST_LEAPS = 30
+"""Times that changes of contact are leapt over which cannot be passed one by one."""
 NEARER = 0.999
 """Share of the way to a touch within which another one comes before it."""
 SAME = 1e-8
 """Most that the same touch may differ from itself, in arclength, when it is passed again."""
-FARTHER = 4.0
-"""Farthest that a motion behind a leap may be, over the length of the leap."""
 
 
 @dataclass
@@ -87,7 +85,8 @@ class Walk:
             ahead, step, goal = found
             if len(self.points) > reached:
                 tries, reached = 0, len(self.points)
-            refused = yield from self.verify(ahead)
+            is_whole = goal is None and len(ahead) == AHEAD
+            refused = yield from self.verify(ahead, step if is_whole else None)
             if isinstance(refused, Ending):
                 return refused
             if refused:
@@ -95,7 +94,7 @@ class Walk:
                 step += sum(motion.way for motion in refused)
             elif goal is not None:
                 return Ending.turned_back if goal == begun else Ending.completed
-            elif ahead and (len(ahead) == AHEAD or not closing(self.points[-1], step)):
+            elif ahead and (is_whole or not closing(self.points[-1], step)):
                 continue
             else:
                 misfit = None
@@ -179,27 +178,15 @@ class Walk:
 
         Where a motion chatters, more touches lie on the way than can be distinguished.
         """
-        last, search = self.points[-1], self.search
         self.leaps += 1
-        for length in LEAPS if self.leaps <= MOST_LEAPS else ():
-            guess = search.ahead(last, length)
-            if not self.low < guess.parameter < self.high:
-                return False
-            section = last.contacts.section
-            found = yield from search.near(guess.state, guess.parameter, section)
-            if found is not None and found.contacts.section != section:
-                found = yield from search.cut_at(found, section)
-            if found is None:
-                continue
-            found = search.oriented(found, last)
-            if found.way <= 0 or search.apart(last, found) > FARTHER * length:
-                continue
-            (seen,) = yield Look([found])
-            if search.fits(found, seen):
-                self.landing = len(self.points)
-                self.add(replace(found, family=last.family + 1), seen)
-                return True
-        return False
+        if self.leaps > MOST_LEAPS:
+            return False
+        landed = yield from self.search.leapt(self.points[-1], (self.low, self.high))
+        if landed is None:
+            return False
+        self.landing = len(self.points)
+        self.add(*landed)
+        return True
 
     def retraces(self) -> bool:
         """Whether, behind a leap, the last touch was passed before, the other way."""
@@ -321,12 +308,19 @@ class Walk:
             return motion
         return replace(motion, way=abs(self.search.way(last, motion)))
 
-    def verify(self, ahead: list[OnCurve]) -> Steps:
+    def verify(self, ahead: list[OnCurve], step: float | None) -> Steps:
         """Take motions up to one that breaks its contacts; returns the rest, or how the walk ended.
 
-        Where a stop seems to change contact for a little while, motions in between are added.
+        Where a stop seems to change contact for a little while, motions in between are added. With
+        a `step` the walk goes on by that behind them if none does.
         """
-        every = (yield self.search.look(ahead, halfway=self.doubled)) if ahead else []
+        if not ahead:
+            return []
+        following = None
+        if step is not None:
+            bounds = self.low, self.high
+            following = self.search.onwards(ahead[-1], step, self.longest, AHEAD, bounds)
+        every = yield self.search.look(ahead, halfway=self.doubled, following=following)
         return (yield from self.keep(list(zip(ahead, every, strict=True))))
 
     def keep(self, rest: list[tuple[OnCurve, Seen]]) -> Steps:
