@@ -538,6 +538,8 @@ def test_what_passes_zero_is_a_contact_whether_a_march_counts_it_or_not():
 
     assert uncounted(2e-15, 3.0) == pytest.approx([3.0])
     assert uncounted(2e-15, 0.2) == pytest.approx([0.2 + TURN])
+    whole = dataclasses.replace(search, whole=2 * TURN)  # a motion of two drive periods
+    assert whole.uncounted(motion, seen_at(motion, 2e-15, 3.0 + TURN))[0].middle == 3.0 + TURN
     assert not uncounted(1e-16, 3.0)  # round-off
     assert not uncounted(-2e-15, 3.0)
     assert uncounted(2e-15, 1.1)  # or leaves

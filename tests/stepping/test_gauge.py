@@ -74,11 +74,11 @@ def test_integrals_and_extremes_of_one_mode_in_closed_form(rig):
 
 
 @jax.jit
-def nearest(phases, state, angular_frequency):
-    """March over a period of a clock that drives nothing: how near a stop comes, and when."""
+def nearest(phases, state, angular_frequency, periods=1):
+    """March over periods of a clock that drives nothing: how near a stop comes, and when."""
     force = forcing(phases, 0j * angular_frequency, angular_frequency, 0 * angular_frequency)
     ruler = Ruler(jnp.asarray(1e-10), jnp.asarray(jnp.inf), nearest=True)
-    _, _, measures = exact_contact.march(phases, force, state, ruler=ruler)
+    _, _, measures = exact_contact.march(phases, force, state, periods, ruler=ruler)
     return measures.nearest[:, 0]
 
 
@@ -90,6 +90,10 @@ def test_how_near_a_stop_comes_to_a_change_of_contact_in_closed_form(oscillator)
     # Before it turns back.
     distance, _ = nearest(flying, jnp.array([0.0, 0.7]), np.float64(5.0))
     assert distance == -np.inf
+    # In the second of two periods of the clock.
+    distance, phase = nearest(flying, jnp.array([0.0, -0.7]), np.float64(1.5), periods=2)
+    assert distance == pytest.approx(-0.3, abs=1e-9)
+    assert phase == pytest.approx(1.5 * 3 * np.pi / 2, abs=1e-6)
     # It rests on the stop, by which it is pushed, and rises from it by almost all of its depth.
     resting = phases_of(oscillator(stiffness=50.0, gap=-1.0))
     at_rest, swing = -50 / 51, 0.019

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.branches.contacts import (
-    TURN,
     Contacts,
     Pair,
     at_section,
@@ -249,13 +248,13 @@ class CurveSearch:
         off = math.remainder(angles[pair.stop] - pair.middle, self.whole)
         return abs(off) < pair.length / 2
 
-    def uncounted(self, motion: OnCurve, seen: Seen) -> list[Pair]:
-        """Changes of contact that a march went through without counting them, of no duration.
+    def behind_section(self, motion: OnCurve, angle: float) -> float:
+        """A drive phase, rad, as the one within a period from the section of a motion on."""
+        section = motion.contacts.section
+        return section + (angle - section) % self.whole
 
-        None of motions of several drive periods: in which of them that is is not known.
-        """
-        if self.whole > TURN:
-            return []
+    def uncounted(self, motion: OnCurve, seen: Seen) -> list[Pair]:
+        """Changes of contact that a march went through without counting them, of no duration."""
         measures = seen.measures
         least = UNCOUNTED * max(abs(float(measures.highest)), abs(float(measures.lowest)))
         # A contact of its own that a march did not count it has all the same.
@@ -264,7 +263,7 @@ class CurveSearch:
         found = []
         for stop, (height, angle) in enumerate(zip(*seen.nearest, strict=True)):
             if height > least and stop not in own:
-                at = motion.behind_section(angle)
+                at = self.behind_section(motion, angle)
                 found.append(Pair(stop, (0, 0), (at, at)))
         return found
 

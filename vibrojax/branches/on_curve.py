@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from vibrojax.branches.contacts import TURN, Contacts, Pair, pairs
+from vibrojax.branches.contacts import Contacts, Pair, pairs
 from vibrojax.steady.orbit_curve import Stride
 from vibrojax.stepping.measures import Measures
 
@@ -47,18 +47,13 @@ class OnCurve:
             height_along=-self.height_along,
         )
 
-    def behind_section(self, angle: float) -> float:
-        """A drive phase, rad, as the one within a drive period from the section on."""
-        section = self.contacts.section
-        return section + (angle - section) % TURN
-
     def changes_before(self, stop: int, angle: float) -> int:
-        """How often a stop changes contact from the section to a drive phase, rad.
+        """How often a stop changes contact from the section to a drive phase, rad, behind that.
 
-        Of motions of one drive period; odd numbers where it has been touched then, and only there.
+        Odd numbers where it has been touched then, and only there.
         """
         changes = np.asarray(self.contacts.stops, int) == stop
-        before = int(np.sum(changes & (self.times < self.behind_section(angle))))
+        before = int(np.sum(changes & (self.times < angle)))
         return before + (self.contacts.first_phase >> stop & 1)
 
     @cached_property

@@ -46,7 +46,7 @@ def shallow_contact(
         first, last = before, first
         if len(points) == 3 or points[0].family != first.family:
             near = [unknown, *near[-3:]]  # other contacts say nothing of these
-    share = _share(ways, zip(*near, strict=True))
+    share = _share(ways, zip(*near, strict=True), search.whole)
     if share is None:
         return None
     stretch = Stretch(search, first, last, None)
@@ -65,17 +65,17 @@ class _Near(NamedTuple):
     angle: float
     """Drive phase, rad."""
     changes: int
-    """How often it has changed contact from the section on: odd where it is touched. Not known, and
-    0, of motions of several drive periods."""
+    """How often it has changed contact from the section on: odd where it is touched."""
     section: float
     """Drive phase, rad."""
 
-    def changes_on_the_way(self, other: "_Near", way: float) -> int | None:
+    def changes_on_the_way(self, other: "_Near", way: float, whole: float) -> int | None:
         """Changes of contact from here to another one so far along the curve.
 
-        None if that is at another drive phase; 0 or 1 of motions that are cut elsewhere.
+        None if that is at another drive phase within the period `whole` (rad); 0 or 1 of motions
+        that are cut elsewhere.
         """
-        if abs(math.remainder(self.angle - other.angle, TURN)) > MOVED + MOVES * way:
+        if abs(math.remainder(self.angle - other.angle, whole)) > MOVED + MOVES * way:
             return None
         between = abs(self.changes - other.changes)
         return between if self.section == other.section else between % 2
@@ -83,14 +83,21 @@ class _Near(NamedTuple):
 
 def _near(search: CurveSearch, motion: OnCurve, seen: Seen) -> list[_Near]:
     """Where each stop comes nearest in a motion."""
-    known, section = search.whole == TURN, motion.contacts.section
+    section = motion.contacts.section
     return [
-        _Near(height, angle, motion.changes_before(stop, angle) if known else 0, section)
+        _Near(
+            height,
+            angle,
+            motion.changes_before(stop, search.behind_section(motion, angle)),
+            section,
+        )
         for stop, (height, angle) in enumerate(zip(*seen.nearest, strict=True))
     ]
 
 
-def _share(ways: Sequence[float], stops: Iterable[Sequence[_Near]]) -> float | None:
+def _share(
+    ways: Sequence[float], stops: Iterable[Sequence[_Near]], whole: float = TURN
+) -> float | None:
     """Share of the way from the second of four points at which a stop may change contact.
 
     How near it came rises before and falls behind: that says where it would pass zero. What is
@@ -106,7 +113,7 @@ def _share(ways: Sequence[float], stops: Iterable[Sequence[_Near]]) -> float | N
         if not -math.inf < min(b, c) <= max(b, -math.inf if to_touch else c) < 0:
             continue
         changes = [
-            one.changes_on_the_way(other, way)
+            one.changes_on_the_way(other, way, whole)
             for (one, other), way in zip(pairwise(near), ways, strict=True)
         ]
         comes, stays, goes = (between == 0 for between in changes)

@@ -175,7 +175,8 @@ class ContactLoop:
             measures = measures.passed(duration, jnp.any(touching, axis=0), entries, kept)
             measures = measures.noted(landing.stop, angle, kept)
             begun = with_wave(flight.blocks, self.phasor(flight.time))
-            stretch = self.gauge.stretch(begun, phase, flight.time, duration, touching)
+            since_start = flight.time + self.period * flight.finished
+            stretch = self.gauge.stretch(begun, phase, since_start, duration, touching)
             passed = passed.add(stretch, kept)
         return Flight(
             blocks=once(changed) if self.stops else jnp.where(kept, landed, flight.blocks),

@@ -67,7 +67,7 @@ class Stretches(NamedTuple):
     """At the beginning."""
     phase: Int[Array, "places *lanes"]
     begun: Float[Array, "places *lanes"]
-    """Drive time, s."""
+    """Time since the start, s."""
     cell: Float[Array, "places *lanes"]
     """Length of the cells, s."""
     groups: Int[Array, "places *lanes"]
@@ -194,7 +194,7 @@ class Gauge:
         if measures.nearest is not None:
             k, w = self.turning_back, self.force.angular_frequency
             time = pick(tops.place[:k], jnp.expand_dims(passed.begun, -1 - self.lanes))
-            angle = jnp.mod(self.force.start_phase + w * (time + tops.offset[:k]), 2 * jnp.pi)
+            angle = self.force.start_phase + w * (time + tops.offset[:k])
             new, old = jnp.stack([nearest, angle]), measures.nearest
             measures = measures._replace(nearest=jnp.where(new[0] > old[0], new, old))
         force = reduce(jnp.maximum, force, jnp.zeros_like(high))

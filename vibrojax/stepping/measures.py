@@ -78,7 +78,7 @@ class Measures(NamedTuple):
     """Of steppers that land on every change of contact."""
     nearest: Float[Array, "2 stops *lanes"] | None = None
     """How near every stop came to a change of contact and turned back, m: negative, or -inf. Then
-    the drive phase there, rad."""
+    the drive phase there, rad, counted on from the start."""
 
     @property
     def sums(self) -> tuple[Any, ...]:
