@@ -24,6 +24,8 @@ from vibrojax.steady.orbit_curve import Stride
 
 LEAPT = 0.3
 """Most that a motion may be off what the directions at it and the last one say, over the step."""
+JOINED = 4.0
+"""Most that what differs between the halves of a motion changes by on the way, over that."""
 UNCOUNTED = 1e-12
 """Depth over the amplitude that is no round-off, though a march does not count it."""
 LOOSE = 1e-8
@@ -52,6 +54,8 @@ class CurveSearch:
     brief: float
     """Drive angle, rad, of a contact that may be too shallow for a march to count, and that a march
     may be off where a motion is unstable."""
+    doubled: bool = False
+    """Whether it is of a period that was doubled: the curve may join that of the single one."""
     asked: int = 0
     """Motions that were solved for."""
 
@@ -204,7 +208,7 @@ class CurveSearch:
             found = self.oriented(found, last)
             if found.way <= 0 or self.apart(last, found) > FARTHER * length:
                 continue
-            (seen,) = yield Look([found])
+            (seen,) = yield self.look([found])
             if self.fits(found, seen):
                 return replace(found, family=last.family + 1), seen
         return None
@@ -213,13 +217,28 @@ class CurveSearch:
         """Whether a motion was found whose events follow one another."""
         return found is not None and is_ordered(found.contacts, found.times, self.whole)
 
-    def look(self, motions: list[OnCurve], *, halfway: bool, following: Ask | None = None) -> Look:
-        """Ask what a march of motions shows; `halfway` also the states half a period behind 0."""
-        if not halfway:
-            return Look(motions, following=following)
+    def look(self, motions: list[OnCurve], following: Ask | None = None) -> Look:
+        """Ask what a march of motions shows; of a doubled period also where half of it is over."""
         half = self.whole / 2
-        sections = [half + self.whole * (half < m.contacts.section) for m in motions]
+        sections = [m.contacts.section + half for m in motions] if self.doubled else None
         return Look(motions, sections, following)
+
+    def joins(self, last: OnCurve, before: Seen, found: OnCurve, seen: Seen) -> Steps:
+        """Whether between two motions of a doubled period one is the same in both halves.
+
+        There the curve meets that of the single period, and goes on along itself, the halves
+        changed over: what they differ by passes zero. It may also turn by an impact.
+        """
+        if not self.doubled:
+            return False
+        odd, was = found.state - seen.at_section, last.state - before.at_section
+        section, half = found.contacts.section, self.whole / 2
+        if section != last.contacts.section:
+            at = [self.behind_section(last, angle) for angle in (section, section + half)]
+            one, other = yield Look([last, last], at)
+            was = one.at_section - other.at_section
+        near = float(np.linalg.norm(odd - was)) <= JOINED * found.way * found.size
+        return near and float(odd @ was) < 0
 
     def fits(self, motion: OnCurve, seen: Seen) -> bool:
         """Whether a motion keeps to its contacts; a march may miss the shallowest."""
@@ -315,7 +334,7 @@ class CurveSearch:
         cut = yield from self.cut_at(motion, section)
         if cut is None:
             return None
-        (seen,) = yield Look([cut])
+        (seen,) = yield self.look([cut])
         return (cut, seen) if self.fits(cut, seen) else None
 
     def _astray(self, motion: OnCurve, seen: Seen) -> int | None:

@@ -127,9 +127,9 @@ def walk_doubled(
     """Walk along the branch of twice the period that leaves at a motion; None for none."""
     rigs, single = CurveRigs(paths, plan.period), CurveRigs(paths, plan.period // 2)
     (walk,) = _walks(plan, rigs, value)
-    walk.doubled = True
     search = walk.search
     half = walk.anew(replace(search, whole=search.whole / 2), plan.low, plan.high)
+    search.doubled = True
     steps = half.search.near(search.unit * state, value)
     (near,) = run_together([_job(half, single, 0, steps)])
     if near is None:

@@ -19,7 +19,7 @@ from vibrojax.branches.contacts import (
     without,
 )
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen, Steps, Touch
+from vibrojax.branches.on_curve import Ask, OnCurve, Seen, Steps, Touch
 from vibrojax.branches.stretch import NEXT_TO_TOUCH, Stretch
 
 CLOSES = 0.3
@@ -118,7 +118,7 @@ def vanish(search: CurveSearch, last: OnCurve, step: float, bounds: tuple[float,
         touch = replace(touch, family=last.family + 1, way=abs(gone))
         passed = Touch(0, False, pair.places, pair.stop)
         motions = [*(yield from _between(search, last, touch, passed)), touch]
-        seen = yield Look(motions)
+        seen = yield search.look(motions)
         if not _only_touches(search, touch, seen[-1]):
             continue
         return Passed(motions, seen, passed._replace(at=len(motions) - 1))
@@ -280,7 +280,7 @@ def _enter(
                 passed = Touch(0, True, places, new[0][1])
                 between = yield from _between(search, touch, found, passed)
                 motions = [touch, *between, found]
-                seen = yield Look(motions)
+                seen = yield search.look(motions)
                 if not _only_touches(search, touch, seen[0]):
                     sooner = yield from _touch_sooner(search, last, touch, seen[0], reached, bounds)
                     if sooner is not None or apart > WITHIN:
@@ -327,7 +327,7 @@ def by_duration(search: CurveSearch, last: OnCurve, bounds: tuple[float, float])
             ahead = way > 0 > search.way(found, last)
             if not ahead or not _is_within(found, bounds):
                 continue
-            (seen,) = yield Look([found])
+            (seen,) = yield search.look([found])
             if search.fits(found, seen):
                 return replace(found, family=last.family, way=way), seen
     return None

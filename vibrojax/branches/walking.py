@@ -10,11 +10,10 @@ from bisect import bisect_left
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
 
 from vibrojax.branches.continuation import LOOP_POINTS, Ending
 from vibrojax.branches.curve_search import CurveSearch
-from vibrojax.branches.on_curve import Look, OnCurve, Seen, Steps, Touch
+from vibrojax.branches.on_curve import OnCurve, Seen, Steps, Touch
 from vibrojax.branches.shallow import shallow_contact
 from vibrojax.branches.stretch import Stretch
 from vibrojax.branches.touches import (
@@ -50,13 +49,9 @@ class Walk:
     high: float
     longest: float
     max_points: int
-    doubled: bool = False
-    """Whether it is a walk along a period that was doubled, which may join the single one."""
     points: list[OnCurve] = field(default_factory=list)
     seen: list[Seen] = field(default_factory=list)
     touches: list[Touch] = field(default_factory=list)
-    odd: Float[np.ndarray, " states"] | None = None
-    """By how much the last point of a doubled walk differs from itself half a period later."""
     refused: Seen | None = None
     """What was seen of the motion that broke its contacts last."""
     leaps: int = 0
@@ -75,7 +70,7 @@ class Walk:
         """
         turns = way is not None and start.parameter_along * way < 0
         here = yield from self.search.cut_well(start.reversed() if turns else start)
-        (seen,) = yield Look([here])
+        (seen,) = yield self.search.look([here])
         self.add(here, seen)
         begun, step, tries, reached = start.parameter, BEGIN, 0, 0
         while True:
@@ -214,7 +209,7 @@ class Walk:
         del self.points[landing + 1 :], self.seen[landing + 1 :]
         self.points[landing] = self.points[landing].reversed()
         self.touches = [touch for touch in self.touches if touch.at < landing]
-        self.landing = self.odd = None
+        self.landing = None
 
     def _apart(self, i: int, j: int) -> np.ndarray:
         """Difference of two points as seen at drive phase 0, in arclength."""
@@ -244,6 +239,11 @@ class Walk:
         """Take a motion as a point of the curve."""
         self.points.append(motion)
         self.seen.append(seen)
+
+    def joins(self, motion: OnCurve, seen: Seen) -> Steps:
+        """Whether a motion of a doubled period is behind the single one, the last point before."""
+        last = self.points[-1], self.seen[-1]
+        return (yield from self.search.joins(*last, self.behind_last(motion), seen))
 
     def take(self, passed: Passed) -> Steps:
         """Take a touch, and what is next to it, as points; returns as `pass_change`.
@@ -283,7 +283,11 @@ class Walk:
                         return stopped
                     break
                 motion, seen = kept
+            if (yield from self.joins(motion, seen)):
+                return Ending.joined
             self.add(self.behind_last(motion), seen)
+        if (yield from self.joins(*end)):
+            return Ending.joined
         if not touch.entering:
             self.touches.append(touch._replace(at=len(self.points)))
         self.add(self.behind_last(end[0]), end[1])
@@ -320,7 +324,7 @@ class Walk:
         if step is not None:
             bounds = self.low, self.high
             following = self.search.onwards(ahead[-1], step, self.longest, AHEAD, bounds)
-        every = yield self.search.look(ahead, halfway=self.doubled, following=following)
+        every = yield self.search.look(ahead, following)
         return (yield from self.keep(list(zip(ahead, every, strict=True))))
 
     def keep(self, rest: list[tuple[OnCurve, Seen]]) -> Steps:
@@ -335,11 +339,8 @@ class Walk:
                 rest = closer + rest
                 continue
             del rest[0]
-            if self.doubled:
-                odd = self.search.unit * seen.initial_state - seen.at_section
-                if float(odd @ (self.odd if self.odd is not None else odd)) < 0:
-                    return Ending.joined
-                self.odd = odd
+            if (yield from self.joins(motion, seen)):
+                return Ending.joined
             self.add(motion, seen)
             if self.is_closed():
                 self.close()
@@ -359,7 +360,7 @@ class Walk:
         found = yield from shallow_contact(self.search, *near, to_touch=to_touch)
         if found is None:
             return []
-        (seen,) = yield self.search.look([found], halfway=self.doubled)
+        (seen,) = yield self.search.look([found])
         if to_touch:
             return [(found, seen)]
         last = self.points.pop()
@@ -369,7 +370,7 @@ class Walk:
         """A motion that keeps to its contacts, and what was seen of it; None if it breaks them."""
         if self.search.fits(motion, seen) and not self.search.uncounted(motion, seen):
             return motion, seen
-        again = None if self.doubled else (yield from self.search.recut(motion, seen))
+        again = yield from self.search.recut(motion, seen)
         if again is None:
             self.refused = seen
         return again
