@@ -15,7 +15,7 @@ WIDER = 1.05
 """How far gaps are opened, over what it takes to touch none."""
 MOST_OPENED = 500
 """Points on the way back from there: with more, where motions chatter, a march is shorter."""
-TRIES = 12
+TRIES = 17
 """Steps, each a third of the last, that are tried away from a period doubling: one may be next to a
 touch."""
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.branches.contacts import (
+    TURN,
     Contacts,
     Pair,
     at_section,
@@ -24,8 +25,9 @@ from vibrojax.steady.orbit_curve import Stride
 
 LEAPT = 0.3
 """Most that a motion may be off what the directions at it and the last one say, over the step."""
-JOINED = 4.0
-"""Most that what differs between the halves of a motion changes by on the way, over that."""
+JOINED, SINGLE, ALIKE = 4.0, 1e-3, 1e-10
+"""Most that what differs between the halves of a motion changes by on the way, over that; what is
+left of it where both are the same, over what there was, and over the motion."""
 UNCOUNTED = 1e-12
 """Depth over the amplitude that is no round-off, though a march does not count it."""
 LOOSE = 1e-8
@@ -223,8 +225,16 @@ class CurveSearch:
         sections = [m.contacts.section + half for m in motions] if self.doubled else None
         return Look(motions, sections, following)
 
+    def halves(self, motion: OnCurve) -> float:
+        """By how much times of contact differ between the halves of a motion, rad."""
+        stops, times = motion.contacts.stops, motion.times
+        first, second = np.split(times, 2) if len(times) % 2 == 0 else (times, times[:0])
+        if stops[: len(first)] != stops[len(first) :]:
+            return TURN
+        return float(np.max(np.abs(second - first - self.whole / 2), initial=0.0))
+
     def joins(self, last: OnCurve, before: Seen, found: OnCurve, seen: Seen) -> Steps:
-        """Whether between two motions of a doubled period one is the same in both halves.
+        """Whether between motions of a doubled period, or at the next, both halves are the same.
 
         There the curve meets that of the single period, and goes on along itself, the halves
         changed over: what they differ by passes zero. It may also turn by an impact.
@@ -237,6 +247,8 @@ class CurveSearch:
             at = [self.behind_section(last, angle) for angle in (section, section + half)]
             one, other = yield Look([last, last], at)
             was = one.at_section - other.at_section
+        if np.linalg.norm(odd) <= max(SINGLE * np.linalg.norm(was), ALIKE * found.size):
+            return True
         near = float(np.linalg.norm(odd - was)) <= JOINED * found.way * found.size
         return near and float(odd @ was) < 0
 
@@ -302,6 +314,7 @@ class CurveSearch:
         near = self.apart(last, found) <= 2.5 * step + 1e-9
         turns = turns_round(last, found) or turns_twice(last, found, step)
         leaves = turns or self.leaps(last, found) or skips(last, found)
+        leaves = leaves or (self.doubled and self.halves(found) <= SINGLE * self.halves(last))
         return bool(cosine >= STRAIGHT and near and not leaves)
 
     def leaps(self, last: OnCurve, found: OnCurve) -> bool:
