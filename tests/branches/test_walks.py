@@ -158,6 +158,62 @@ def test_what_comes_next_is_solved_for_while_motions_are_looked_at(monkeypatch):
     np.testing.assert_array_equal(meanwhile.peak_ratio, afterwards.peak_ratio)
 
 
+def special_points_of_doubled(branch, number, **settings):
+    doubled = branch.switch(number, vj.ContinuationSettings(**settings))
+    points = [(p.parameter, p.kind) for p in doubled.special_points]
+    assert all(p.refined for p in doubled.special_points)
+    return doubled, points
+
+
+@pytest.mark.slow
+def test_a_doubled_branch_is_the_same_from_either_end():
+    """One of its flips lies next to the touch, where motions of the single period are near."""
+    rig = between_stops(
+        vj.default_rig(taper=0.8933097059276558, mass_ratio=4.170735589199403).beam,
+        [(0.6017825305819462, 0.0015853443270660956, 69453.88167326384, 37.956405249669004, 1)],
+        0.0025831205593555835,
+        0.08343615186708896,
+        num_modes=1,
+    )
+    branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.6, 2.0))
+    near, far = branch.period_doublings
+    assert near - branch.grazings.min() < 1e-5
+    up, points = special_points_of_doubled(branch, 0)
+    assert up.status == "joined"
+    assert up.values[-1] == pytest.approx(far, rel=1e-4)
+    for step in (0.08, 0.03):  # with the shorter one a step lands on the single branch
+        down, others = special_points_of_doubled(branch, 1, longest_step=step)
+        assert down.status == "joined"
+        assert down.values[-1] == pytest.approx(near, rel=1e-4)
+        assert [kind for _, kind in others] == [kind for _, kind in points[::-1]]
+        np.testing.assert_allclose(
+            *([at for at, _ in each] for each in (others, points[::-1])), 1e-9
+        )
+
+
+@pytest.mark.slow
+def test_a_doubled_branch_does_not_end_where_an_impact_passes_drive_phase_0():
+    """What differs between the halves of its motions turns by that impact."""
+    stops = [
+        (0.8405252719148035, 0.0008024610618594095, 12530.372257731948, 43.977468297163185, 1),
+        (0.6076284591089487, 0.00019605902057508672, 7657147.908862883, 32.254800788587104, -1),
+    ]
+    rig = between_stops(
+        vj.default_rig(taper=0.4538205921002112, mass_ratio=3.3640841353884374).beam,
+        stops,
+        0.0024273044867746054,
+        0.04682420917066175,
+        num_modes=1,
+    )
+    branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.6, 2.0))
+    doubled, points = special_points_of_doubled(branch, 2)
+    assert doubled.completed
+    _, others = special_points_of_doubled(branch, 2, longest_step=0.04)
+    assert len(points) == 11
+    assert [kind for _, kind in others] == [kind for _, kind in points]
+    np.testing.assert_allclose(*([at for at, _ in each] for each in (others, points)), 1e-9)
+
+
 def test_multipliers_of_what_is_no_motion_stop_no_walk():
     none = np.zeros(0)
     lost = OnCurve(
@@ -204,8 +260,8 @@ def oscillator(damping, tension):
     )
 
 
-def between_stops(beam, stops, base_amplitude, damping_ratio):
-    """A beam of two modes between stops, given by place, gap, stiffness, damping and side."""
+def between_stops(beam, stops, base_amplitude, damping_ratio, num_modes=2):
+    """A beam between stops, given by place, gap, stiffness, damping and side."""
     return vj.ImpactingBeam(
         beam=beam,
         stops=tuple(
@@ -214,7 +270,7 @@ def between_stops(beam, stops, base_amplitude, damping_ratio):
         ),
         drive=vj.BaseMotion(amplitude=base_amplitude),
         damping_ratio=damping_ratio,
-        num_modes=2,
+        num_modes=num_modes,
     )
 
 
