@@ -12,7 +12,8 @@ written after each rig, and rigs that are in it already are not run again.
     python benchmarks/random_rigs.py --rigs 60 --modes 1 2 --stops 1 2 --steps 0.08 0.03
 
 With `--steps` only branches are followed, in steps of up to these, and their lists of special
-points compared, as well as with that of the rig whose numbers differ by round-off.
+points compared, as well as with that of the rig whose numbers differ by round-off. With `--doubled`
+those of what leaves at the first period doublings of short branches.
 """
 
 import argparse
@@ -32,6 +33,8 @@ from vibrojax.branches import SpecialPoint
 BOUNDS = vj.Range(0.6, 2.0)
 RATIOS = np.linspace(0.6, 2.0, 20)
 SIDES = (1, -1, 1)
+SHORT, DOUBLINGS = 1500, 4
+"""Most points of branches whose first so many period doublings are followed."""
 OF_STOP = ("position", "gap", "stiffness", "damping")
 OF_RIG = ("taper", "mass_ratio", "damping_ratio", "base_amplitude")
 
@@ -183,6 +186,33 @@ def compare_lists(
     print(f"{different} of {len(chosen)} rigs differ; {unrefined} of {total} points are unrefined")
 
 
+def compare_doubled(
+    rigs: list[tuple[int, int, dict[str, float]]], chosen: list[int], steps: list[float]
+) -> None:
+    """Follow branches of the doubled period in several steps; say whose special points differ."""
+    different = number = missing = total = unrefined = 0
+    for k in chosen:
+        modes, stops, numbers = rigs[k]
+        settings = [vj.ContinuationSettings(longest_step=s, max_points=SHORT) for s in steps]
+        rig = maker(modes, stops)(**numbers)
+        branch = vj.continue_response(rig, frequency_ratio=BOUNDS, settings=settings[0])
+        for i in range(min(branch.period_doublings.size, DOUBLINGS)):
+            try:
+                first, *others = (branch.switch(i, each).special_points for each in settings)
+            except ValueError as refused:
+                missing += 1
+                print(f"rig {k} modes {modes} stops {stops}", refused, flush=True)
+                continue
+            apart = [differing(first, other) for other in others]
+            number, total = number + 1, total + len(first)
+            unrefined += sum(not point.refined for point in first)
+            if any(apart):
+                different += 1
+                print(f"rig {k} modes {modes} stops {stops} doubling {i}", apart, flush=True)
+    print(f"{different} of {number} branches differ, {missing} more have no beginning")
+    print(f"{unrefined} of {total} points are unrefined")
+
+
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Count what became of all rigs."""
     points = Counter()
@@ -209,12 +239,13 @@ def main() -> None:
     parser.add_argument("--stops", type=int, nargs="*", default=[1, 2, 3])
     parser.add_argument("--only", type=int, nargs="*", default=None)
     parser.add_argument("--steps", type=float, nargs="*", default=None)
+    parser.add_argument("--doubled", action="store_true")
     parser.add_argument("--json", default=None)
     given = parser.parse_args()
     rigs = random_rigs(given.rigs, given.seed, given.modes, given.stops)
     chosen = [k for k, rig in enumerate(rigs) if given.only is None or rig[0] in given.only]
     if given.steps:
-        compare_lists(rigs, chosen, given.steps)
+        (compare_doubled if given.doubled else compare_lists)(rigs, chosen, given.steps)
         return
     makers = {kind: maker(*kind) for kind in {rig[:2] for rig in rigs}}
     file = None if given.json is None else Path(given.json)

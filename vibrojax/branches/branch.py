@@ -62,7 +62,8 @@ class Branch(BranchPoints, AbstractSaved):
         """Follow the branch of twice the period that leaves at a period doubling.
 
         `number` counts `period_doublings`; of the settings `max_points` and `longest_step` count,
-        the rest is as on this branch. Raises `ValueError` where there is no such point.
+        the rest is as on this branch. Raises `ValueError` where there is no such point, and where
+        no motion is found next to it: one has more than 64 contacts, or breaks its own at once.
         """
         return Branch.of(switch_branch(self, number, settings or ContinuationSettings()))
 

@@ -40,6 +40,6 @@ def switch_branch(
     if doubled is None:
         raise ValueError(
             f"No motion of {plan.period} drive periods was found next to the period doubling at "
-            f"{point.parameter:.8g}."
+            f"{point.parameter:.8g}: they may have more than 64 contacts, or break theirs at once."
         )
     return with_what_follows([doubled])[0]
