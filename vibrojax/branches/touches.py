@@ -125,9 +125,17 @@ def vanish(search: CurveSearch, last: OnCurve, step: float, bounds: tuple[float,
     return None
 
 
+def within(search: CurveSearch) -> float:
+    """Arclength up to which it is not looked between a touch and its neighbour.
+
+    Next to the branch of the single period that of the doubled one is short.
+    """
+    return TOGETHER if search.doubled else WITHIN
+
+
 def _between(search: CurveSearch, first: OnCurve, last: OnCurve, touch: Touch) -> Steps:
     """Solve for motions between a touch and its neighbour, unless that is very near."""
-    if abs(search.way(first, last)) <= WITHIN:
+    if abs(search.way(first, last)) <= within(search):
         return []
     return (yield from Stretch(search, first, last, touch).next_to_touch())
 

@@ -18,12 +18,12 @@ from vibrojax.branches.shallow import shallow_contact
 from vibrojax.branches.stretch import Stretch
 from vibrojax.branches.touches import (
     SHARP,
-    WITHIN,
     Passed,
     by_duration,
     closing,
     touch_between,
     vanish,
+    within,
 )
 
 BEGIN, FIRST, SHORTEST = 1e-3, 0.02, 1e-9
@@ -303,7 +303,7 @@ class Walk:
         nearer = yield from self.touch_before(misfit, apart, left)
         if nearer is not None and nearer.place.way < NEARER * left:
             return (yield from self.take(nearer))
-        return apart / 4 if apart > WITHIN else None
+        return apart / 4 if apart > within(self.search) else None
 
     def behind_last(self, motion: OnCurve) -> OnCurve:
         """A motion with its way from the last point, where both are cut at the same phase."""
