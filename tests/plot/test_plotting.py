@@ -5,8 +5,10 @@ import jax
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import vibrojax as vj
+from vibrojax.plot.style import show_zero
 from vibrojax.sweep.frequency_response import CURVES
 
 FREQUENCIES = np.linspace(0.8, 1.4, 61)
@@ -192,6 +194,15 @@ def test_shows_itself_in_a_notebook_without_pyplot():
     assert width_of(data) == 1500
     assert metadata == {"width": 750}
     assert "matplotlib.pyplot" not in sys.modules
+
+
+def test_a_curve_that_hardly_varies_has_room_above_it():
+    """The axis begins at zero, so that a margin of its own range is none."""
+    figure = Figure()
+    axes = figure.subplots()
+    axes.plot([1.0, 2.0], [0.3212, 0.3213])
+    show_zero(axes)
+    assert axes.get_ylim() == pytest.approx((0.0, 1.05 * 0.3213))
 
 
 def test_modes():

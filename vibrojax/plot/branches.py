@@ -20,6 +20,7 @@ from vibrojax.plot.style import (
     label_for,
     new_picture,
     shades,
+    show_zero,
 )
 
 MARKS = {
@@ -68,7 +69,7 @@ def plot_branches(
     if sweep is not None:
         _lay_sweep(axes, sweep, variable)
     if variable != "leading_multiplier":
-        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        show_zero(axes)
     else:
         axes.axhline(1.0, color=GREY, linewidth=0.8)
     return finish(axes, label_for(first[axis]), label_for(first[variable]))

@@ -27,6 +27,7 @@ from vibrojax.plot.style import (
     name_axes,
     new_panels,
     outside_legend,
+    show_zero,
 )
 
 WAYS = {"forward": 1, "backward": -1, "unknown direction": 0}
@@ -110,7 +111,7 @@ def _curve(panels: list[Axes], data: xarray.Dataset, names: list[str]) -> None:
         for way, at in folds:
             axes.plot(along[at], values[at], color=COLORS[way], zorder=5, **FOLD)
         name_axes(axes, None, balanced(label_for(data[f"measured_{name}"])))
-        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        show_zero(axes)
     if folds:
         panels[0].plot([], [], color=GREY, label="fold of the fitted curve", **FOLD)
     low, high = frequency.min(), frequency.max()

@@ -161,6 +161,12 @@ def within(label: str, length: float) -> str:
     return wrapped.replace("\xa0", " ")
 
 
+def show_zero(axes: Axes) -> None:
+    """Let the upright axis go to zero at the least, with room above what may hardly vary."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(0.0, low), max(high, 1.05 * axes.dataLim.y1, 0.0))
+
+
 def mark_places(panels: Sequence[Axes], places: Sequence[tuple[float, str, str]]) -> None:
     """Mark places (x, words, colour) by lines, the words along the top away from each other."""
     axes = panels[0]
