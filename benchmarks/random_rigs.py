@@ -21,7 +21,7 @@ import inspect
 import json
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -159,58 +159,58 @@ def differing(
     return found
 
 
-def compare_lists(
-    rigs: list[tuple[int, int, dict[str, float]]], chosen: list[int], steps: list[float]
-) -> None:
-    """Follow branches in several steps, and say whose special points differ."""
-    different = total = unrefined = 0
+Rigs = list[tuple[int, int, dict[str, float]]]
+Lists = Iterator[tuple[str, list[list[SpecialPoint]]]]
+
+
+def compare(every: Lists) -> None:
+    """Say which special points differ: of each case with those that are to be the same."""
+    different = number = total = unrefined = 0
+    for words, (first, *others) in every:
+        apart = [differing(first, other) for other in others]
+        number, total = number + 1, total + len(first)
+        unrefined += sum(not point.refined for point in first)
+        if any(apart):
+            different += 1
+            print(words, apart, flush=True)
+    print(f"{different} of {number} differ; {unrefined} of {total} points are unrefined")
+
+
+def lists_of_branches(rigs: Rigs, chosen: list[int], steps: list[float]) -> Lists:
+    """Special points of branches in several steps, and of rigs that differ by round-off."""
     for k in chosen:
         modes, stops, numbers = rigs[k]
         make = maker(modes, stops)
         moved = numbers | {name: numbers[name] * (1 + 3e-16) for name in ("taper", "gap_0")}
         cases = [(numbers, steps[0]), (moved, steps[0]), *((numbers, step) for step in steps[1:])]
-        first, *others = (
-            vj.continue_response(
-                make(**own),
-                frequency_ratio=BOUNDS,
-                settings=vj.ContinuationSettings(longest_step=step),
-            ).special_points
-            for own, step in cases
+        yield (
+            f"rig {k} modes {modes} stops {stops}",
+            [
+                vj.continue_response(
+                    make(**own),
+                    frequency_ratio=BOUNDS,
+                    settings=vj.ContinuationSettings(longest_step=step),
+                ).special_points
+                for own, step in cases
+            ],
         )
-        apart = [differing(first, other) for other in others]
-        total += len(first)
-        unrefined += sum(not point.refined for point in first)
-        if any(apart):
-            different += 1
-            print(f"rig {k} modes {modes} stops {stops}", apart, flush=True)
-    print(f"{different} of {len(chosen)} rigs differ; {unrefined} of {total} points are unrefined")
 
 
-def compare_doubled(
-    rigs: list[tuple[int, int, dict[str, float]]], chosen: list[int], steps: list[float]
-) -> None:
-    """Follow branches of the doubled period in several steps; say whose special points differ."""
-    different = number = missing = total = unrefined = 0
+def lists_of_doubled(rigs: Rigs, chosen: list[int], steps: list[float]) -> Lists:
+    """Special points of branches of the doubled period in several steps."""
+    settings = [vj.ContinuationSettings(longest_step=s, max_points=SHORT) for s in steps]
     for k in chosen:
         modes, stops, numbers = rigs[k]
-        settings = [vj.ContinuationSettings(longest_step=s, max_points=SHORT) for s in steps]
         rig = maker(modes, stops)(**numbers)
         branch = vj.continue_response(rig, frequency_ratio=BOUNDS, settings=settings[0])
         for i in range(min(branch.period_doublings.size, DOUBLINGS)):
+            words = f"rig {k} modes {modes} stops {stops} doubling {i}"
             try:
-                first, *others = (branch.switch(i, each).special_points for each in settings)
+                lists = [branch.switch(i, each).special_points for each in settings]
             except ValueError as refused:
-                missing += 1
-                print(f"rig {k} modes {modes} stops {stops}", refused, flush=True)
+                print(words, refused, flush=True)
                 continue
-            apart = [differing(first, other) for other in others]
-            number, total = number + 1, total + len(first)
-            unrefined += sum(not point.refined for point in first)
-            if any(apart):
-                different += 1
-                print(f"rig {k} modes {modes} stops {stops} doubling {i}", apart, flush=True)
-    print(f"{different} of {number} branches differ, {missing} more have no beginning")
-    print(f"{unrefined} of {total} points are unrefined")
+            yield words, lists
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -245,7 +245,8 @@ def main() -> None:
     rigs = random_rigs(given.rigs, given.seed, given.modes, given.stops)
     chosen = [k for k, rig in enumerate(rigs) if given.only is None or rig[0] in given.only]
     if given.steps:
-        (compare_doubled if given.doubled else compare_lists)(rigs, chosen, given.steps)
+        lists = lists_of_doubled if given.doubled else lists_of_branches
+        compare(lists(rigs, chosen, given.steps))
         return
     makers = {kind: maker(*kind) for kind in {rig[:2] for rig in rigs}}
     file = None if given.json is None else Path(given.json)

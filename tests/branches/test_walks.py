@@ -34,6 +34,13 @@ def special(branch, kind):
     return [p.parameter * TURN for p in branch.special_points if p.kind == kind]
 
 
+def have_same_points(points, others):
+    assert [point.kind for point in points] == [point.kind for point in others]
+    np.testing.assert_allclose(
+        [point.parameter for point in points], [point.parameter for point in others], rtol=1e-9
+    )
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _no_marches_behind_losses_of_stability():
     """What follows there is looked at by other tests; every rig's shape would compile it."""
@@ -103,12 +110,7 @@ def test_what_happens_next_to_a_touch_does_not_depend_on_the_step():
     there = ["grazing", "contact_change", "contact_change", "fold"]
     assert kinds == [*there, *there[::-1]]
     for other in others:
-        assert [point.kind for point in other.special_points] == kinds
-        np.testing.assert_allclose(
-            [point.parameter for point in other.special_points],
-            [point.parameter for point in first.special_points],
-            rtol=1e-9,
-        )
+        have_same_points(other.special_points, first.special_points)
 
 
 @pytest.mark.slow
@@ -158,13 +160,6 @@ def test_what_comes_next_is_solved_for_while_motions_are_looked_at(monkeypatch):
     np.testing.assert_array_equal(meanwhile.peak_ratio, afterwards.peak_ratio)
 
 
-def special_points_of_doubled(branch, number, **settings):
-    doubled = branch.switch(number, vj.ContinuationSettings(**settings))
-    points = [(p.parameter, p.kind) for p in doubled.special_points]
-    assert all(p.refined for p in doubled.special_points)
-    return doubled, points
-
-
 @pytest.mark.slow
 def test_a_doubled_branch_is_the_same_from_either_end():
     """One of its flips lies next to the touch, where motions of the single period are near."""
@@ -178,17 +173,16 @@ def test_a_doubled_branch_is_the_same_from_either_end():
     branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.6, 2.0))
     near, far = branch.period_doublings
     assert near - branch.grazings.min() < 1e-5
-    up, points = special_points_of_doubled(branch, 0)
+    up = branch.switch(0)
+    assert all(point.refined for point in up.special_points)
     assert up.status == "joined"
     assert up.values[-1] == pytest.approx(far, rel=1e-4)
     for step in (0.08, 0.03):  # with the shorter one a step lands on the single branch
-        down, others = special_points_of_doubled(branch, 1, longest_step=step)
+        down = branch.switch(1, vj.ContinuationSettings(longest_step=step))
         assert down.status == "joined"
         assert down.values[-1] == pytest.approx(near, rel=1e-4)
-        assert [kind for _, kind in others] == [kind for _, kind in points[::-1]]
-        np.testing.assert_allclose(
-            *([at for at, _ in each] for each in (others, points[::-1])), 1e-9
-        )
+        have_same_points(down.special_points, up.special_points[::-1])
+        assert all(point.refined for point in down.special_points)
 
 
 @pytest.mark.slow
@@ -206,12 +200,12 @@ def test_a_doubled_branch_does_not_end_where_an_impact_passes_drive_phase_0():
         num_modes=1,
     )
     branch = vj.continue_response(rig, frequency_ratio=vj.Range(0.6, 2.0))
-    doubled, points = special_points_of_doubled(branch, 2)
+    doubled = branch.switch(2)
     assert doubled.completed
-    _, others = special_points_of_doubled(branch, 2, longest_step=0.04)
-    assert len(points) == 11
-    assert [kind for _, kind in others] == [kind for _, kind in points]
-    np.testing.assert_allclose(*([at for at, _ in each] for each in (others, points)), 1e-9)
+    assert len(doubled.special_points) == 11
+    other = branch.switch(2, vj.ContinuationSettings(longest_step=0.04))
+    have_same_points(other.special_points, doubled.special_points)
+    assert all(point.refined for each in (doubled, other) for point in each.special_points)
 
 
 def test_multipliers_of_what_is_no_motion_stop_no_walk():
@@ -685,7 +679,7 @@ def test_where_a_stop_that_is_near_may_change_contact():
 
     def share(*places, ways=(0.01, 0.01, 0.01)):
         near = [shallow._Near(h, angle, changes, 0.5) for h, angle, changes in places]
-        return shallow._share(ways, [near])
+        return shallow._share(ways, [near], TURN)
 
     rising = (-3e-6, 1.0, 2), (-1e-6, 1.0, 2)
     falling = rising[::-1]

@@ -25,18 +25,20 @@ from vibrojax.steady.orbit_curve import Stride
 
 LEAPT = 0.3
 """Most that a motion may be off what the directions at it and the last one say, over the step."""
-JOINED, SINGLE, ALIKE = 4.0, 1e-3, 1e-10
-"""Most that what differs between the halves of a motion changes by on the way, over that; what is
-left of it where both are the same, over what there was, and over the motion."""
+JOINED = 4.0
+"""Most that what differs between the halves of a motion changes by on the way, over that."""
+SINGLE, ALIKE = 1e-3, 1e-10
+"""Most that is left of it where both halves are the same, over what there was; over the motion."""
 UNCOUNTED = 1e-12
 """Depth over the amplitude that is no round-off, though a march does not count it."""
 LOOSE = 1e-8
 """Drive angle, rad, by which a march is off that has gone astray."""
 FARTHEST = 0.16
 """Farthest in arclength that a tangent is followed for a guess."""
-LEAPS, FARTHER = (1e-5, 1e-4, 1e-3, 1e-2, 4e-2), 4.0
-"""Arclengths by which changes of contact are leapt over; farthest that a motion behind is, over
-that."""
+LEAPS = (1e-5, 1e-4, 1e-3, 1e-2, 4e-2)
+"""Arclengths by which changes of contact are leapt over that cannot be passed one by one."""
+FARTHER = 4.0
+"""Farthest that a motion behind a leap may be, over the length of the leap."""
 TRIES = 6
 """Marches by which the contacts of a motion near a state are found."""
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
-from vibrojax.branches.contacts import TURN
 from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import OnCurve, Seen, Steps
 from vibrojax.branches.stretch import Stretch, turning_share
@@ -95,9 +94,7 @@ def _near(search: CurveSearch, motion: OnCurve, seen: Seen) -> list[_Near]:
     ]
 
 
-def _share(
-    ways: Sequence[float], stops: Iterable[Sequence[_Near]], whole: float = TURN
-) -> float | None:
+def _share(ways: Sequence[float], stops: Iterable[Sequence[_Near]], whole: float) -> float | None:
     """Share of the way from the second of four points at which a stop may change contact.
 
     How near it came rises before and falls behind: that says where it would pass zero. What is

@@ -13,7 +13,7 @@ from vibrojax.branches.curve_search import CurveSearch
 from vibrojax.branches.on_curve import Ask, Look, OnCurve, Seen
 from vibrojax.steady.batches import filled_up
 from vibrojax.steady.contact_times import Events
-from vibrojax.steady.curve_programs import read_on_curve, solve_on_curve
+from vibrojax.steady.curve_programs import STRIDE, read_on_curve, solve_on_curve
 from vibrojax.steady.lane_table import LaneTable, table_of
 from vibrojax.steady.orbit_curve import ROOM, Condition, Stride, Try
 from vibrojax.steady.paths import AbstractPath, FrequencyPath, LocalPath, OpenedPath, localise
@@ -22,8 +22,6 @@ from vibrojax.stepping.measures import Measures
 WIDTH = 32
 """Motions of lanes side by side solved for in one call; no more than these go one by one, which is
 as fast and compiles nothing more."""
-LOOKED_AT = 16
-"""Motions marched in one call."""
 BRIEF, SHARE = 1e-4, 0.02
 """Drive angle, rad, of a contact that is as good as none; share of how long short ones last."""
 
@@ -119,7 +117,7 @@ def compile_ahead(rigs: CurveRigs, lanes: int) -> None:
     n = own.columns().phases.weight.shape[1]
     nothing = Ask(Contacts((), 0, 0.0), np.zeros(0), np.zeros(n), 1.0)
     tries = _tries(rigs, np.ones((1, n + 1)), [nothing])
-    for width, program in ((LOOKED_AT, read_on_curve), (_width(lanes), solve_on_curve)):
+    for width, program in ((STRIDE, read_on_curve), (_width(lanes), solve_on_curve)):
         rows = np.zeros(width, int)
         more = (np.zeros(width),) if program is read_on_curve else ()
         program.ahead(own.pick(rows), tries.pick(rows), *more, rigs.period)
@@ -284,7 +282,7 @@ def _seen(
 ) -> list[Seen]:
     """What marches of motions over their period show; meanwhile what follows is solved for."""
     found: list[Seen] = []
-    for rows in filled_up(len(motions), LOOKED_AT).reshape(-1, LOOKED_AT):
+    for rows in filled_up(len(motions), STRIDE).reshape(-1, STRIDE):
         own = [motions[i] for i in rows]
         asks = [Ask(m.contacts, m.times, m.state, m.parameter) for m in own]
         table = rigs.at(lanes[rows], np.array([m.parameter for m in own]))

@@ -25,11 +25,10 @@ from vibrojax.branches.touches import (
     vanish,
     within,
 )
+from vibrojax.steady.curve_programs import STRIDE
 
 BEGIN, FIRST, SHORTEST = 1e-3, 0.02, 1e-9
 """Steps, in arclength: change of the state over its size, and of the parameter over its scale."""
-AHEAD = 16
-"""Points that are solved for before they are looked at."""
 MOST_TRIES = 40
 """Tries to pass a touch before the next point has to be found."""
 MOST_LEAPS = 30
@@ -80,7 +79,7 @@ class Walk:
             ahead, step, goal = found
             if len(self.points) > reached:
                 tries, reached = 0, len(self.points)
-            is_whole = goal is None and len(ahead) == AHEAD
+            is_whole = goal is None and len(ahead) == STRIDE
             refused = yield from self.verify(ahead, step if is_whole else None)
             if isinstance(refused, Ending):
                 return refused
@@ -142,7 +141,7 @@ class Walk:
         failed, longest, bounds = 0, self.longest, (self.low, self.high)
         while len(self.points) + len(ahead) < self.max_points:
             last = ahead[-1] if ahead else self.points[-1]
-            room = min(AHEAD, self.max_points - len(self.points)) - len(ahead)
+            room = min(STRIDE, self.max_points - len(self.points)) - len(ahead)
             found, goal, rest = yield from self.search.further(
                 last, step, longest, rest, room, bounds
             )
@@ -323,7 +322,7 @@ class Walk:
         following = None
         if step is not None:
             bounds = self.low, self.high
-            following = self.search.onwards(ahead[-1], step, self.longest, AHEAD, bounds)
+            following = self.search.onwards(ahead[-1], step, self.longest, STRIDE, bounds)
         every = yield self.search.look(ahead, following)
         return (yield from self.keep(list(zip(ahead, every, strict=True))))
 

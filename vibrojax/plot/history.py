@@ -23,6 +23,7 @@ from vibrojax.plot.style import (
     new_panels,
     new_picture,
     outside_legend,
+    show_zero,
     within,
 )
 from vibrojax.results.variables import with_unit
@@ -99,7 +100,7 @@ def plot_contacts(contacts: xarray.Dataset, names: Sequence[str]) -> Figure:
             panel.plot(touch, values, markersize=6, **style)
         name_axes(panel, None, within(label_for(contacts[name]), TABLE))
         if np.nanmin(contacts[name].values, initial=0.0) >= 0:
-            panel.set_ylim(bottom=0.0)
+            show_zero(panel)
     name_axes(panels[-1], label_for(contacts["touch"]))
     return outside_legend(figure)
 

@@ -23,6 +23,7 @@ from vibrojax.plot.style import (
     label_for,
     name_axes,
     outside_legend,
+    show_zero,
 )
 from vibrojax.results.variables import axis_description, axis_unit, with_unit
 
@@ -218,5 +219,5 @@ def _draw_branches(axes: Axes, branches: Mapping[str, xarray.Dataset]) -> None:
         x, y, stable = (branch[key].values for key in (axis, shown, "stable"))
         draw_stable(axes, x, y, stable, color=color, linewidth=width)
         axes.plot([], [], color=color, linewidth=width, label=f"{name} rig")
-    axes.set_ylim(bottom=0.0)
+    show_zero(axes)
     name_axes(axes, label_for(last[axis]), balanced(label_for(last[shown])))

@@ -30,7 +30,7 @@ lax = jax.lax
 ACCURATE = 1e-9
 """Largest last correction of a motion that counts as solved for."""
 STRIDE = 16
-"""Motions that a program of one lane solves for, one behind the other."""
+"""Motions that a program of one lane solves for, one behind the other; they are marched in one."""
 STRAIGHT = 0.85
 """Least cosine between tangents of neighbouring motions."""
 GROWTH = (3, 2.5), (4, 1.8), (5, 1.4), (7, 1.0), (np.inf, 0.7)
